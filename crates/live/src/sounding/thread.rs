@@ -6,7 +6,6 @@ use super::sessions::PeerSessions;
 use crate::monitor::Monitor;
 use crate::wait::Monotonic;
 use crate::{refused, sys};
-use csi5300::exchange::tdma::Tdma;
 use csi5300::source::Error;
 use csi5300::time::Instant;
 use driver_iface::Mac;
@@ -57,25 +56,16 @@ impl Running {
     ///
     /// # Errors
     /// If pipe or thread cannot be created.
-    pub fn start(tdma: Tdma, monitor: Monitor, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
+    pub fn start(opened: Opened, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
         let what = "cannot start the thread that sends";
         let (stopped, stop) = std::io::pipe().map_err(Error::io(what))?;
         let (measured, news) = (Mailbox::new(), Mailbox::new());
         let (to_carry, told) = (Arc::clone(&measured), Outbox::new(&news));
-        let mut exchange = Exchange::new(tdma, monitor);
+        let mut exchange = Exchange::new(opened.tdma, opened.monitor);
         exchange.stop_at = settings.stop_at;
         let work = move || run(exchange, clock, settings, &stopped, &to_carry, told);
         let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(Error::io(what))?;
-        Ok(Self { thread, stop, measured, news, heard: Mutex::default() })
-    }
-
-    /// The same for a [`Setup::open_on`](super::Setup::open_on), which saves its peers' sessions.
-    ///
-    /// # Errors
-    /// As [`Running::start`].
-    pub fn start_opened(opened: Opened, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
-        let running = Self::start(opened.tdma, opened.monitor, clock, settings)?;
-        Ok(Self { heard: Mutex::new(opened.heard), ..running })
+        Ok(Self { thread, stop, measured, news, heard: Mutex::new(opened.heard) })
     }
 
     /// Hands over this robot's measurement of a forward frame of that peer, for the next answer to it. Where too many wait it is

@@ -837,7 +837,7 @@ fn answerer(desk: &Desk, first: Mac) -> Words<(Running, Mac)> {
     let clock = Monotonic::new();
     let opened =
         setup.open_on(monitor, |config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()));
-    let running = Running::start_opened(opened.in_words()?, clock, Settings::default()).in_words()?;
+    let running = Running::start(opened.in_words()?, clock, Settings::default()).in_words()?;
     Ok((running, mac))
 }
 
