@@ -184,11 +184,8 @@ impl Machine {
             *(if pose.is_some() { &mut counts.poses } else { &mut counts.new_frames }) += 1;
             self.taps.iter_mut().for_each(|tap| tap.pose(pose));
         });
-        let mut more = received.unwrap_or_else(|error| {
-            self.trouble.push(format!("odometry: {error}"));
-            false
-        });
-        more |= self.take_records(now)?;
+        self.trouble.extend(received.as_ref().err().map(|error| format!("odometry: {error}")));
+        let mut more = received.unwrap_or_default() | self.take_records(now)?;
         for peer in 0..self.peers.len() {
             more |= self.take_peer(peer, now);
         }
@@ -216,10 +213,8 @@ impl Machine {
             running.new_frames += u64::from(pose.is_none());
             self.estimator.handle_peer_pose(peer, pose);
         });
-        let more_poses = received.unwrap_or_else(|error| {
-            self.trouble.push(format!("poses of {}: {error}", running.peer.name));
-            false
-        });
+        self.trouble.extend(received.as_ref().err().map(|error| format!("poses of {}: {error}", running.peer.name)));
+        let more_poses = received.unwrap_or_default();
         let Some(records) = &mut running.records else { return more_poses };
         let received = receive(records, now, |next| {
             self.taps.iter_mut().for_each(|tap| tap.peer(peer, now, next));

@@ -3,13 +3,14 @@
 //! One function for each group of rules. A refusal names the place of the wrong key, or of the table that lacks one;
 //! the spans of the TOML reader give its line.
 
-use super::{Capture, Config, Odometry, Peer, Problem, Records, Room, Ros, name_part};
+use super::{Capture, Config, Odometry, Peer, Problem, Records, Room, Ros};
 use crate::adapters;
 use csi5300::exchange::tdma::{Plan, PlanError, Request};
 use csi5300::motion::odometry::ros::{Stamp, plain};
 use csi5300::pipeline::ArrayError;
 use csi5300::source::side_path;
 use csi5300_live::sounding::rate_n_flags;
+use csi5300_ros2::name_part;
 use csi5300_ros2::settings::{self, Distribution, Wrong};
 use csi5300_sim::Scene;
 use csi5300_sim::motion::RobotMotion;
@@ -1024,6 +1025,15 @@ mod tests {
         let second = |lines: &str| linked(&format!("[[peer]]\nname = 'c'\nmac = '02:00:00:00:00:03'\n{lines}"));
         all_refused([
             ("# none", "needs a name", swap(&linked(""), "'b'", "'' # none")),
+            (
+                "'1b'",
+                "the names of those of `_1b`",
+                swap(
+                    &linked("[[peer]]\nname = '1b'\nmac = '02:00:00:00:00:03'\nrecords.network = {}\n[ros2]\n"),
+                    "'b'",
+                    "'_1b'",
+                ),
+            ),
             (
                 "b-1",
                 "the names of those of `b_1`",

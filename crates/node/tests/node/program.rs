@@ -84,7 +84,8 @@ fn the_example_configuration_has_every_key() {
     let words: Vec<&str> = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').collect();
     let tables = ["estimator", "team", "output", "network", "sounding", "log", "ros", "ros2", "array"];
     let tables = tables.map(|name| format!("[{name}]\nunknown_ = 1"));
-    let inline = ["unknown_ = 1", "[[peer]]\nunknown_ = 1", "team.ranges.b = {}", "camera_mount = {}"].map(str::to_owned);
+    let inline =
+        ["unknown_ = 1", "[[peer]]\nunknown_ = 1", "team.ranges.b = {}", "camera_mount = {}"].map(str::to_owned);
     let poses = ["opencr", "ros", "ros2", "static"].map(|kind| format!("odometry.{kind} = {{}}"));
     let captures = ["card", "stock", "replay", "room", "served"].map(|kind| format!("capture.{kind} = {{}}"));
     for table in tables.iter().chain(&inline).chain(&poses).chain(&captures) {
