@@ -6,14 +6,13 @@
 //! root: in a user namespace it is refused, and said to be. Before and after each a bare loop of `clock_nanosleep` shows
 //! what this host does at best in these very minutes.
 
-use csi5300::exchange::tdma::{Config, Epoch, Request, Tdma};
+use csi5300::exchange::tdma::{Epoch, Request};
 use csi5300::time::Span;
-use csi5300_live::monitor::{Monitor, Options};
-use csi5300_live::sounding::{News, Running, Settings, spread_of};
+use csi5300_live::monitor::Monitor;
+use csi5300_live::sounding::{News, Running, Settings, Setup, spread_of};
 use csi5300_live::sys::{radiotap_tun, schedule_fifo};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
-use driver_iface::sounding::native;
 use hdrhistogram::Histogram;
 use nix::sys::time::{TimeSpec, TimeValLike};
 use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
@@ -91,20 +90,20 @@ fn carry(mut from: File, mut to: File) {
 }
 
 fn robot(own: usize, interface: &str, fifo_priority: Option<i32>, clock: Monotonic) -> Result<Running, Failure> {
-    let options = Options { mcs: 1, ..Options::new(interface, native::MAX_LEN) };
-    let now = clock.now();
-    let mut config = Config {
-        initiate: own == 0,
-        epoch: Epoch::Heard(now),
-        ..Config::new(MACS[own], 0, &[MACS[1 - own]], Request::new(1, 1_000.0), 1)
+    let setup = Setup {
+        interface: interface.into(),
+        mac: Some(MACS[own]),
+        peers: vec![MACS[1 - own]],
+        request: Request::new(1, 1_000.0),
+        own_index: 0,
+        key: None,
     };
-    (config.start, config.open_loop, config.silence_slots) = (now, true, 2);
-    Ok(Running::start(
-        Tdma::new(&config)?,
-        Monitor::open(&options)?,
-        clock,
-        Settings { fifo_priority, ..Settings::default() },
-    )?)
+    let now = clock.now();
+    let opened = setup.open_on(Monitor::open(&setup.options())?, |config| {
+        (config.initiate, config.epoch) = (own == 0, Epoch::Heard(now));
+        (config.start, config.open_loop, config.silence_slots) = (now, true, 2);
+    })?;
+    Ok(Running::start(opened, clock, Settings { fifo_priority, ..Settings::default() })?)
 }
 
 fn run(fifo_priority: Option<i32>, seconds: f64) -> Result<(), Failure> {

@@ -527,6 +527,13 @@ impl LogFiles {
         self.finished.iter().chain([&self.data.path]).cloned().collect()
     }
 
+    /// The file that is next in the row, where there is one already: it is of an earlier recording.
+    #[doc(hidden)] // for the crates of this workspace
+    #[must_use]
+    pub fn left_over(&self) -> Option<PathBuf> {
+        Some(numbered(&self.path, self.number + 1)).filter(|next| self.number > 0 && next.exists())
+    }
+
     /// The file has been written to for as long as one is.
     fn is_old(&self, now: Instant) -> bool {
         self.records > 0 && self.rotation.every.zip(self.since).is_some_and(|(every, since)| now - since >= every)
@@ -706,8 +713,10 @@ fn open_files(path: &Path, force: bool, has_side: bool) -> Result<(Grown, Option
     }
     let data = Grown::create(path.into(), force)?;
     let side = side.map(|side| Grown::create(side, force)).transpose().inspect_err(|_| {
-        // The data file is ours and empty: leave nothing behind.
-        let _ = std::fs::remove_file(path);
+        // Nothing is left behind; an earlier log stays.
+        if data.is_there_and_empty() {
+            let _ = std::fs::remove_file(path);
+        }
     })?;
     Ok((data, side))
 }
@@ -1092,6 +1101,32 @@ mod tests {
         assert!(side_only.to_string().contains("out.datstp"), "{side_only}");
         assert!(!path.exists());
         LogFiles::create(&path, Rotation::default(), true).unwrap();
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn an_earlier_log_outlives_a_side_file_that_cannot_be_written() {
+        let folder = folder("side-refused");
+        let path = folder.join("out.dat");
+        std::fs::create_dir_all(side_path(&path)).unwrap();
+        let refused = || LogFiles::create(&path, Rotation::default(), true).unwrap_err().to_string();
+        assert!(refused().contains("out.datstp") && !path.exists());
+        std::fs::write(&path, b"an earlier log").unwrap();
+        assert!(refused().contains("out.datstp"));
+        assert_eq!(std::fs::read(&path).unwrap(), b"an earlier log");
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn what_an_earlier_row_leaves_behind_a_new_one_is_known() {
+        let folder = folder("left-over");
+        let path = folder.join("out.dat");
+        std::fs::write(folder.join("out-0002.dat"), b"an earlier log").unwrap();
+        let row = Rotation { bytes: Some(1), every: None };
+        let left = |rotation| LogFiles::create(&path, rotation, true).unwrap().left_over();
+        assert_eq!(left(row), Some(folder.join("out-0002.dat")));
+        std::fs::write(folder.join("out-0001.dat"), b"another one").unwrap();
+        assert_eq!(left(Rotation::default()), None, "no row");
         std::fs::remove_dir_all(folder).unwrap();
     }
 

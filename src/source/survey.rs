@@ -319,6 +319,13 @@ impl Survey {
         }
     }
 
+    /// The records without those that only tell the clock of the next one, as translated logs of other cards have.
+    #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
+    pub fn came(&self) -> u64 {
+        self.records - self.by_code.get(&code::CARD_CLOCK).copied().unwrap_or(0)
+    }
+
     /// Intact bfee records.
     #[must_use]
     pub fn bfees(&self) -> u64 {

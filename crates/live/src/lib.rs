@@ -52,6 +52,6 @@ pub mod sys;
 pub mod wait;
 
 /// An error of this machine's side, in words; nobody tells them apart.
-fn refused(words: impl Into<String>) -> csi5300::source::Error {
+pub fn refused(words: impl Into<String>) -> csi5300::source::Error {
     csi5300::source::Error::Backend(words.into().into())
 }

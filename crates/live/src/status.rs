@@ -81,7 +81,7 @@ impl Status {
     /// Everything on one line, and readiness for the next picture.
     pub fn line(&mut self, losses: Losses) -> String {
         let rate: f64 = self.rates_hz.iter().map(|(_, rate)| rate).sum();
-        let mut text = format!("{} records, {rate:.0}/s", self.survey.records);
+        let mut text = format!("{} records, {rate:.0}/s", self.survey.came());
         let _ = write!(text, "; lost {}", losses.kernel + losses.driver + losses.disk);
         let heard = self.rates_hz.iter().filter(|(_, rate)| *rate > 0.0).count();
         let _ = write!(text, "; {heard} senders; RSSI {}", rssi(self.rssi));
@@ -98,7 +98,7 @@ impl Status {
         let mut text = format!("csi5300  {title}\n\n");
         let seconds = self.first_at.map_or(Span::default(), |first| now - first).as_s();
         let silent = self.last_at.map_or(0.0, |last| (now - last).as_s());
-        let _ = writeln!(text, "records   {:>10}   {:>8} bfee   {seconds:>7.0} s", survey.records, survey.bfees());
+        let _ = writeln!(text, "records   {:>10}   {:>8} bfee   {seconds:>7.0} s", survey.came(), survey.bfees());
         let Losses { kernel, driver, disk } = losses;
         let _ = writeln!(text, "lost      {kernel:>10} in the kernel   {driver:>8} before it   {disk:>8} at the disk");
         let _ = writeln!(text, "damaged   {:>10} datagrams, {} bfee", survey.damages, survey.bad_bfee);

@@ -61,8 +61,6 @@ pub struct Options {
 pub struct StockCounts {
     /// Packets of any command that the driver handed over.
     pub hits: u64,
-    /// Events taken from the ring.
-    pub events: u64,
     /// Records handed on.
     pub records: u64,
     /// Packets dropped because the ring was full.
@@ -150,12 +148,12 @@ impl Stock {
 impl CsiSource for Stock {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
         loop {
-            if !self.intake.is_held()
+            if !self.intake.is_held
                 && let Some(event) = self.ring.next()
             {
                 self.intake.take(&event);
             }
-            if !self.intake.is_held() {
+            if !self.intake.is_held {
                 self.look(now)?;
                 return Ok(Next::Pending);
             }
@@ -259,12 +257,6 @@ impl Intake {
         self.event.clear();
         self.event.extend_from_slice(bytes);
         self.is_held = true;
-        self.counters.events += 1;
-    }
-
-    /// True while an event is at hand.
-    fn is_held(&self) -> bool {
-        self.is_held
     }
 
     /// Looks at the event at hand.
@@ -589,7 +581,7 @@ mod tests {
         let (mut records, mut losses) = (Vec::new(), Vec::new());
         for event in events {
             intake.take(event);
-            while intake.is_held() {
+            while intake.is_held {
                 match intake.turn(NOW) {
                     Turn::Record(host_us) => records.push((intake.record().code, host_us)),
                     Turn::Lost(loss) => losses.push(loss),
@@ -634,7 +626,7 @@ mod tests {
         assert_eq!(losses, [Loss::Overrun { dropped: Some(2) }]);
         assert_eq!(records.len(), 1);
         let counters = intake.counters;
-        assert_eq!((counters.ring_full, counters.events, counters.records, counters.cards.no_phy), (2, 4, 1, 1));
+        assert_eq!((counters.ring_full, counters.records, counters.cards.no_phy), (2, 1, 1));
         // The program's counter is 32 bits wide here, and wraps.
         let (mut intake, wrapped) = (Intake::new(stock::Options::default(), None), event(1, 0, 1, 0xC0, &phy(1)));
         assert_eq!(turns(&mut intake, &[event(1, 0, u32::MAX, 0xC0, &phy(1)), wrapped]).1.len(), 2);
@@ -682,7 +674,7 @@ mod tests {
         flagged[29] = 0x80;
         let (records, losses) = turns(&mut intake, &[vec![], vec![0; 31], flagged, event(1, 0, 0, 0xBB, &csi())]);
         assert!(records.is_empty() && losses.is_empty());
-        assert_eq!((intake.counters.malformed, intake.counters.events), (3, 4));
+        assert_eq!(intake.counters.malformed, 3);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //! `rqt_robot_monitor` and Foxglove: card, odometry, each peer, the program, and the claims.
 
 use crate::adapters::Robot;
-use crate::config::{Capture, Config, name_part};
+use crate::config::{Capture, Config};
 use crate::health::Health;
 use crate::lock;
 use crate::machine::{Machine, Tap};
@@ -14,6 +14,7 @@ use csi5300::time::{Instant, Span};
 use csi5300_accept::{Claim, Evidence, Finding, Of, Plan, Side, Verdict};
 use csi5300_bag::messages::{Byte, DiagnosticArray, DiagnosticStatus, Header, KeyValue, SelfTestResponse};
 use csi5300_live::doctor::{self, module_counters, module_growth};
+use csi5300_ros2::name_part;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
@@ -82,7 +83,7 @@ impl Claims {
         Arc::new(Self {
             channel: config.channel,
             robot: robot.clone(),
-            node: format!("csi5300_{}", name_part(&config.robot())),
+            node: name_part(&format!("csi5300_{}", config.robot())),
             cards: Mutex::new(cards),
             counters,
             last: Mutex::default(),

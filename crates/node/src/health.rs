@@ -4,7 +4,7 @@ use super::machine::{Machine, PoseCounts};
 use super::team::TeamState;
 use csi5300::internal::SENDERS_KEPT;
 use csi5300::motion::odometry::SourceCounts;
-use csi5300::pipeline::live::{PeerCounts, PeerReport};
+use csi5300::pipeline::live::{AdmissionCounts, PeerCounts, PeerReport};
 use csi5300::source::recorder::Totals;
 use csi5300::time::{Instant, Span};
 use serde::{Deserialize, Serialize};
@@ -93,6 +93,9 @@ pub struct Load {
 /// How long an alarm lasts after its last count.
 const ALARM_LASTS: Span = Span::from_ms(60_000);
 
+/// Records that no exchange confirms, from which on something is wrong.
+const UNCONFIRMED: u64 = 32;
+
 /// A count that is an alarm while it rises, and for a minute after.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Alarm {
@@ -143,7 +146,8 @@ impl Alarms {
         }
         self.contested.resize(machine.estimator.peers().count(), Alarm::default());
         for (alarm, (peer, counts)) in self.contested.iter_mut().zip(machine.estimator.peers()) {
-            let contested = counts.refused.contested;
+            let AdmissionCounts { contested, unconfirmed, .. } = counts.refused;
+            words.extend((counts.pairs == 0).then(|| unconfirmed_words(&peer.name, unconfirmed)).flatten());
             if alarm.is_on(contested, now) {
                 words.push(format!(
                     "{}: {contested} exchanges have two records: somebody sends in its name or in this robot's; none of \
@@ -154,6 +158,13 @@ impl Alarms {
         }
         words
     }
+}
+
+/// What is wrong if none of a peer's records is of an exchange that the scheduler saw, in words. The first ones may come before it.
+fn unconfirmed_words(peer: &str, unconfirmed: u64) -> Option<String> {
+    (unconfirmed >= UNCONFIRMED).then(|| {
+        format!("{peer}: {unconfirmed} records, none of a confirmed exchange: are its [sounding] and its key those of this robot?")
+    })
 }
 
 /// Makes states, with rates since the last one.
@@ -198,8 +209,8 @@ impl Looks {
         let health = Health {
             name: self.name.clone(),
             uptime_s: now.as_s(),
-            records: survey.records,
-            records_hz: rate(survey.records, before.records),
+            records: survey.came(),
+            records_hz: rate(survey.came(), before.records),
             losses,
             missing: survey.bfee_missing,
             strangers,
@@ -269,6 +280,14 @@ mod tests {
         let mut at = |count, s: i64| alarm.is_on(count, Instant::from_us(s * 1_000_000));
         let lasts = [at(0, 0), at(1, 1), at(1, 60), at(2, 60), at(2, 119), at(2, 120)];
         assert_eq!(lasts, [false, true, true, true, true, false]);
+    }
+
+    #[test]
+    fn records_of_another_key_are_said() {
+        assert_eq!(unconfirmed_words("b", UNCONFIRMED - 1), None);
+        assert!(
+            unconfirmed_words("b", UNCONFIRMED).unwrap().starts_with("b: 32 records, none of a confirmed exchange")
+        );
     }
 
     #[test]

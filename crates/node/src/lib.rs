@@ -28,15 +28,5 @@ pub mod sources;
 pub mod team;
 mod threads;
 
-use csi5300::source;
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
-/// An error of the service itself, in words; nobody tells them apart.
-fn refused(words: impl Into<String>) -> source::Error {
-    source::Error::Backend(words.into().into())
-}
-
-/// What a mutex holds, also after a panic of who held it.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
+use csi5300_live::refused;
+use csi5300_ros2::lock;

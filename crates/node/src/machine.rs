@@ -55,16 +55,17 @@ fn receive(source: &mut impl CsiSource, now: Instant, mut each: impl FnMut(&Next
     Ok(Burst { more: true, ..burst })
 }
 
-/// Hands over available poses, up to a burst; `None` where a new frame starts. A source that ends or fails moves to `ended`; returns
-/// why it failed.
+/// Hands over available poses, up to a burst; `None` where a new frame starts. A source that ends or fails moves to `ended`. True if
+/// there may be more at once.
 fn receive_poses(
     source: &mut Option<Poses>,
     ended: &mut Option<Poses>,
     now: Instant,
     mut each: impl FnMut(Option<Pose>),
-) -> Option<Error> {
+) -> Result<bool, Error> {
     for _ in 0..BURST {
-        let failed = match source.as_mut()?.receive(now) {
+        let Some(running) = source else { return Ok(false) };
+        let last = match running.receive(now) {
             Ok(NextPose::Pose(pose)) => {
                 each(Some(pose));
                 continue;
@@ -73,14 +74,14 @@ fn receive_poses(
                 each(None);
                 continue;
             }
-            Ok(NextPose::Pending) => return None,
-            Ok(NextPose::End) => None,
-            Err(error) => Some(error),
+            Ok(NextPose::Pending) => return Ok(false),
+            Ok(NextPose::End) => Ok(false),
+            Err(error) => Err(error),
         };
         *ended = source.take();
-        return failed;
+        return last;
     }
-    None
+    Ok(true)
 }
 
 /// What was counted of this robot's odometry.
@@ -178,13 +179,13 @@ impl Machine {
     pub fn take(&mut self, now: Instant) -> Result<bool, Error> {
         // Poses first: measurements need a place.
         let counts = &mut self.pose_counts;
-        let failed = receive_poses(&mut self.poses, &mut self.ended_poses, now, |pose| {
+        let received = receive_poses(&mut self.poses, &mut self.ended_poses, now, |pose| {
             self.estimator.handle_pose(pose);
             *(if pose.is_some() { &mut counts.poses } else { &mut counts.new_frames }) += 1;
             self.taps.iter_mut().for_each(|tap| tap.pose(pose));
         });
-        self.trouble.extend(failed.map(|error| format!("odometry: {error}")));
-        let mut more = self.take_records(now)?;
+        self.trouble.extend(received.as_ref().err().map(|error| format!("odometry: {error}")));
+        let mut more = received.unwrap_or_default() | self.take_records(now)?;
         for peer in 0..self.peers.len() {
             more |= self.take_peer(peer, now);
         }
@@ -208,12 +209,13 @@ impl Machine {
 
     fn take_peer(&mut self, peer: usize, now: Instant) -> bool {
         let Some(running) = self.peers.get_mut(peer) else { return false };
-        let failed = receive_poses(&mut running.poses, &mut None, now, |pose| {
+        let received = receive_poses(&mut running.poses, &mut None, now, |pose| {
             running.new_frames += u64::from(pose.is_none());
             self.estimator.handle_peer_pose(peer, pose);
         });
-        self.trouble.extend(failed.map(|error| format!("poses of {}: {error}", running.peer.name)));
-        let Some(records) = &mut running.records else { return false };
+        self.trouble.extend(received.as_ref().err().map(|error| format!("poses of {}: {error}", running.peer.name)));
+        let more_poses = received.unwrap_or_default();
+        let Some(records) = &mut running.records else { return more_poses };
         let received = receive(records, now, |next| {
             self.taps.iter_mut().for_each(|tap| tap.peer(peer, now, next));
             self.estimator.handle_peer(peer, next);
@@ -228,7 +230,7 @@ impl Machine {
         if came {
             self.heard_at = now;
         }
-        more
+        more || more_poses
     }
 
     /// The next due report, with the peer's number.
@@ -331,7 +333,14 @@ fn say_silence(report: &mut PeerReport, pairs: u64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use csi5300::motion::odometry::FollowedCounts;
+    use crate::sources::Trajectories;
+    use csi5300::motion::odometry::{FollowedCounts, Replayed};
+    use csi5300::motion::pose::Trajectory;
+    use csi5300::pipeline::live::{LivePeer, LiveSettings, Track};
+    use csi5300::signal::channel::Channel;
+    use driver_iface::Mac;
+    use driver_iface::record::Tail;
+    use nalgebra::Vector3;
 
     struct Ended;
 
@@ -352,10 +361,50 @@ mod tests {
         }
     }
 
+    /// A card that is silent, then gone.
+    struct Gone;
+
+    impl CsiSource for Gone {
+        fn receive(&mut self, _: Instant) -> Result<Next<'_>, Error> {
+            Ok(Next::End(Tail::Clean))
+        }
+
+        fn next_at(&self) -> Option<Instant> {
+            None
+        }
+    }
+
+    #[test]
+    fn poses_that_wait_at_the_end_are_taken() {
+        let pose = |k: u32| Pose { t_s: f64::from(k) * 1e-3, position_m: Vector3::zeros(), heading_rad: None };
+        let poses = Trajectory::new((0..5_000).map(pose).collect()).unwrap();
+        let poses = || -> Poses { Box::new(Replayed::new(&poses, 0.0, Instant::ZERO, 1.0)) };
+        let channel: Channel = "108".parse().unwrap();
+        let peer = LivePeer { name: "b".into(), mac: Mac([2; 6]), track: Track::default(), yaw_rad: 0.0 };
+        let (records, is_heard_only, open_ended) = (None, false, false);
+        let peer = PeerSources { peer, records, poses: Some(poses()), is_heard_only, open_ended, new_frames: 0 };
+        let sources = Sources {
+            own: Mac([1; 6]),
+            capture: Box::new(Gone),
+            is_live: false,
+            poses: Some(poses()),
+            track: Track::default(),
+            peers: vec![peer],
+            array: None,
+            trajectories: Trajectories::default(),
+            speed: 1_000.0,
+        };
+        let (settings, end) = (LiveSettings::new(channel.wavelength_m()), Instant::from_us(5_000_000));
+        let mut machine = Machine::new(sources, None, settings, Options::new(channel), Instant::ZERO).unwrap();
+        machine.drain(end);
+        let of_peer = |machine: &Machine| machine.estimator.peers().next().unwrap().0.track.len();
+        assert_eq!((machine.pose_counts.poses, of_peer(&machine)), (5_000, 5_000));
+    }
+
     #[test]
     fn what_a_source_of_poses_counted_outlives_it() {
         let (mut source, mut ended): (Option<Poses>, Option<Poses>) = (Some(Box::new(Ended)), None);
-        assert!(receive_poses(&mut source, &mut ended, Instant::ZERO, |_| ()).is_none() && source.is_none());
+        assert!(!receive_poses(&mut source, &mut ended, Instant::ZERO, |_| ()).unwrap() && source.is_none());
         assert_eq!(ended.unwrap().counted(), Ended.counted());
     }
 }

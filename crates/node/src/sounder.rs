@@ -4,14 +4,10 @@ use super::config::{Capture, Config, Peer, Records};
 use super::health::Health;
 use super::machine::{Machine, Tap};
 use csi5300::exchange::tdma::{Epoch, Event, Key};
-use csi5300::internal::{Proof, Prover};
-use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_live::monitor::Monitor;
-use csi5300_live::sounding::{
-    News, Notice, Order, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
-};
+use csi5300_live::sounding::{Measuring, News, Notice, Running, Settings, Setup, rate_n_flags, read_key, set_rate};
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
 use driver_iface::Mac;
@@ -97,7 +93,7 @@ impl Sounder {
         let usual = Settings::default();
         let settings = Settings { fifo_priority: usual.fifo_priority.filter(|_| asked.fifo), ..usual };
         let (key, measures) = (opened.key.clone(), asked.measurement);
-        let running = Arc::new(Running::start_opened(opened, clock, settings)?);
+        let running = Arc::new(Running::start(opened, clock, settings)?);
         let by_answers = |peer: &Peer| matches!(peer.records, Records::Sounding(_));
         let asked = config.peer.iter().map(|peer| peer.get_ref());
         let answering = asked.zip(&peers).filter(|(peer, _)| by_answers(peer)).map(|(_, mac)| *mac).collect();
@@ -111,13 +107,8 @@ impl Sounder {
             machine.estimator.require_key(key);
         }
         if self.measures {
-            machine.add_tap(Box::new(Measuring {
-                running: Arc::clone(&self.running),
-                antenna: self.antenna,
-                peers: self.peers.clone(),
-                survey: Survey::with_known(self.peers.iter().copied()),
-                prover: Prover::new(self.key.clone()),
-            }));
+            let measuring = Measuring::new(self.antenna, self.peers.clone(), self.key.clone());
+            machine.add_tap(Box::new(Measures(Arc::clone(&self.running), measuring)));
         }
     }
 
@@ -182,25 +173,11 @@ impl SoundingCounts {
 }
 
 /// Hands the card's measurements to the answers.
-struct Measuring {
-    running: Arc<Running>,
-    antenna: Antenna,
-    peers: Vec<Mac>,
-    survey: Survey,
-    prover: Prover,
-}
+struct Measures(Arc<Running>, Measuring);
 
-impl Tap for Measuring {
+impl Tap for Measures {
     fn own(&mut self, _: Instant, next: &Next<'_>) {
-        let proof = self.prover.note(next);
-        let Some((bfee, identity)) = self.survey.note(next) else { return };
-        if proof != Proof::Wrong
-            && self.peers.contains(&identity.mac)
-            && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
-        {
-            // If too many wait, the next one is newer.
-            self.running.order(Order::Measurement(identity.mac, measurement));
-        }
+        self.1.note(next, &self.0);
     }
 }
 

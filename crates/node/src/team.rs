@@ -307,11 +307,11 @@ impl<'a> Built<'a> {
             built.team.link(own.0, to, &link.modes, link.outliers)?;
             built.own = Some((own, link.own.at_m));
         }
-        let is_known = |name: &String| graph.asked.places.contains_key(name) && !moving.contains(name);
-        if !graph.asked.places.is_empty() && !built.peers.keys().any(is_known) {
+        let places = &graph.asked.places;
+        if !places.is_empty() && !built.peers.keys().any(|name| places.contains_key(name)) {
             return Err(TeamError::Unlinked { robot: graph.name.clone() });
         }
-        if let Some(((last, _), at_m)) = built.own.filter(|_| graph.asked.places.is_empty()) {
+        if let Some(((last, _), at_m)) = built.own.filter(|_| places.is_empty()) {
             built.team.prior(last, [at_m.x, at_m.y, 0.0], [GAUGE_SD; 3])?;
         }
         Ok(built)
@@ -335,7 +335,7 @@ impl<'a> Built<'a> {
         let still = Stretch { at_m: Vector2::zeros(), speed_m_per_s: 0.0 };
         let keyframe = add(&mut self.team, robot, link.t_s, link.other.unwrap_or(still), known)?;
         match graph.asked.places.get(name) {
-            Some([x, y]) if noise.is_none() => {
+            Some([x, y]) => {
                 self.team.prior(keyframe.0, [*x, *y, 0.0], [PLACE_SD_M, PLACE_SD_M, free])?;
             }
             _ if noise.is_some() && known.is_none() && graph.asked.places.is_empty() => {

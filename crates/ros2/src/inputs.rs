@@ -5,7 +5,7 @@ use super::link::{Came, Link};
 use super::lock;
 use super::rtps::Qos;
 use crate::settings::{Kind, Topic};
-use csi5300::motion::odometry::ros::{self, Inbox, Message, Stamp, Wanted};
+use csi5300::motion::odometry::ros::{self, Inbox, Message, Stamp, Wanted, plain};
 use csi5300_bag::messages::{Clock, Header, Imu, Odometry, PoseStamped, TfMessage, TransformStamped};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
@@ -240,11 +240,6 @@ struct Frame {
 #[derive(Clone, Debug, Default)]
 struct Tree {
     frames: BTreeMap<String, Frame>,
-}
-
-/// A frame's name without the leading slash of early releases.
-fn plain(name: &str) -> &str {
-    name.trim_start_matches('/')
 }
 
 impl Tree {

@@ -37,6 +37,7 @@ pub mod said;
 pub mod settings;
 mod sockets;
 
+pub use names::name_part;
 pub use node::{Node, Records};
 pub use rtps::Qos;
 pub use said::colour;
@@ -44,7 +45,7 @@ pub use said::colour;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// What a mutex holds, also after a panic of who held it.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

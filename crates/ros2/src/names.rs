@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 /// Makes a valid part of a ROS name: letters, digits and `_`, not starting with a digit.
-pub(crate) fn name_part(name: &str) -> String {
+#[must_use]
+pub fn name_part(name: &str) -> String {
     let plain: String = name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     if plain.starts_with(|c: char| c.is_ascii_digit()) { format!("_{plain}") } else { plain }
 }

@@ -1,7 +1,7 @@
 //! The scheduler's state machine: its contract and timers, turns, what it hears, and its slots.
 
 use super::auth::{Key, Shown};
-use super::roster::{ABSENT_AFTER, Outstanding, Priority, Roster, before_first_number};
+use super::roster::{ABSENT_AFTER, Outstanding, Roster, before_first_number};
 use super::{Cause, Config, Dialect, Event, LinkCounts, Plan, PlanError, TdmaCounts};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
@@ -201,15 +201,6 @@ impl Tdma {
     /// From now on this robot wants the turn, or no longer does. A current turn continues to its announced end.
     pub fn set_initiate(&mut self, initiate: bool) {
         self.initiate = initiate;
-    }
-
-    /// Sets how much a link matters. False if this robot has no link to `peer`.
-    ///
-    /// Links that do not move, or whose bearing is good enough, need less of the channel. An initiator sounds in at
-    /// least one of four slots whatever the priorities, so that the others hear it.
-    pub fn set_priority(&mut self, peer: Mac, priority: Priority) -> bool {
-        let link = self.roster.find(peer).and_then(|at| self.roster.link_of_peer_mut(at));
-        link.map(|link| link.priority = priority).is_some()
     }
 
     /// Hands over this robot's measurement of a forward frame from `peer`, to go with the next answer to it. A newer

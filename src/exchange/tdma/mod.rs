@@ -51,7 +51,6 @@ use driver_iface::sounding::wsr;
 pub use auth::Key;
 pub(crate) use auth::{Proof, Prover};
 pub use machine::{Epoch, Tdma, Transmit};
-pub use roster::Priority;
 
 /// Something that the driver should know. Events are queued; see [`Tdma::poll_event`].
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -10,25 +10,6 @@ pub(super) const ABSENT_AFTER: u32 = 64;
 /// An absent robot is sounded in one of this many rounds at most.
 const ABSENT_ROUNDS: u16 = 8;
 
-/// How much a link matters: the share of rounds in which it is sounded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Priority(u8);
-
-impl Priority {
-    /// Sounded in `share` of the rounds, evenly spread; 0 to 1, steps of 1/255. A link of share 0 is sounded only to
-    /// keep the initiator audible.
-    #[must_use]
-    pub fn share(share: f64) -> Self {
-        Self((share.clamp(0.0, 1.0) * f64::from(u8::MAX)).round() as u8)
-    }
-
-    /// Sounded in every `n`-th round or a little more often; 0 counts as 1.
-    #[must_use]
-    pub fn every(n: u16) -> Self {
-        Self(u16::from(u8::MAX).div_ceil(n.max(1)) as u8)
-    }
-}
-
 /// A robot's session, and the number of its last forward frame in it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Reached {
@@ -115,8 +96,8 @@ impl Asked {
 #[derive(Clone, Debug)]
 pub(super) struct Link {
     pub(super) peer: usize,
-    pub(super) priority: Priority,
-    credit: u16,
+    /// Rounds since an absent peer was sounded.
+    rests: u16,
     pub(super) counts: LinkCounts,
 }
 
@@ -158,7 +139,7 @@ impl Roster {
         let place = |mac: &Mac| peers.binary_search_by_key(mac, |peer| peer.mac).ok();
         let macs = config.link_macs();
         let links = macs.iter().filter_map(place);
-        let link = |peer| Link { peer, priority: Priority::share(1.0), credit: 0, counts: LinkCounts::default() };
+        let link = |peer| Link { peer, rests: 0, counts: LinkCounts::default() };
         let links = links.map(link).collect();
         Self { peers, links, own_rank }
     }
@@ -213,13 +194,8 @@ impl Roster {
         }
         let link = self.links.get_mut(k)?;
         let absent = !open_loop && self.peers.get(link.peer)?.unanswered_in_a_row >= ABSENT_AFTER;
-        let priority = if absent { link.priority.min(Priority::every(ABSENT_ROUNDS)) } else { link.priority };
-        link.credit += u16::from(priority.0);
-        let due = link.credit >= u16::from(u8::MAX);
-        if due {
-            link.credit -= u16::from(u8::MAX);
-        }
-        (due || must_be_heard).then_some(link.peer)
+        link.rests = if absent { (link.rests + 1) % ABSENT_ROUNDS } else { 0 };
+        (link.rests == 0 || must_be_heard).then_some(link.peer)
     }
 
     /// The next robot by MAC that wants the turn, was heard since `alive_since` and did not let its last turn lapse.
@@ -343,21 +319,19 @@ mod tests {
     }
 
     #[test]
-    fn priorities_are_shares_of_rounds() {
-        let mut roster = roster(1, &[2, 3, 4, 5]);
-        roster.links[1].priority = Priority::every(4);
-        roster.links[2].priority = Priority::share(0.0);
-        roster.links[3].priority = Priority::share(0.5);
-        let mut sounded = [0; 4];
-        for _ in 0..10_200 {
-            for (k, count) in sounded.iter_mut().enumerate() {
-                *count += u32::from(roster.due(k, false, false).is_some());
-            }
-        }
-        assert_eq!(sounded, [10_200, 2_560, 0, 5_120]);
-        assert_eq!(roster.due(4, false, false), None, "no link, no frame");
-        assert_eq!(roster.due(4, true, false), roster.due(0, true, false), "unless the initiator must be heard");
-        assert!(roster.due(2, true, false).is_some(), "an initiator must be heard");
+    fn an_absent_robot_is_sounded_in_one_of_eight_rounds() {
+        let mut roster = roster(1, &[2, 3]);
+        let absent = roster.links[1].peer;
+        roster.peers[absent].unanswered_in_a_row = ABSENT_AFTER;
+        let mut rounds = |count: usize, open_loop: bool| {
+            let mut due = |k: usize| (0..count).filter(|_| roster.due(k, false, open_loop).is_some()).count();
+            [due(0), due(1)]
+        };
+        assert_eq!([rounds(7, false), rounds(1, false), rounds(800, false)], [[7, 0], [1, 1], [800, 100]]);
+        assert_eq!(rounds(800, true), [800; 2]);
+        assert_eq!(roster.due(2, false, false), None, "no link, no frame");
+        assert_eq!(roster.due(2, true, false), roster.due(0, true, false), "unless the initiator must be heard");
+        assert!(roster.due(1, true, false).is_some(), "an initiator must be heard");
     }
 
     #[test]

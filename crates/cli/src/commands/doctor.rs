@@ -140,7 +140,7 @@ fn listen(args: &Args, span: Span) -> Words<Vec<Check>> {
             verdict: Verdict::Doubt,
             found: format!("{refused} messages came from a program, not from the kernel"),
             expected: "the driver's messages".into(),
-            mend: Some("--allow-user-sender accepts them, for emulators".into()),
+            mend: Some("`csi5300 record --allow-user-sender` accepts them, for emulators".into()),
         });
     }
     Ok(checks)

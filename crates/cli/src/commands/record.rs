@@ -11,7 +11,6 @@ use csi5300::time::{Instant, Span};
 use csi5300_live::feitcsi::{Command, FeitCsi, Frames};
 use csi5300_live::status::{Losses, Status};
 use csi5300_live::wait::{Monotonic, wall_us};
-use driver_iface::record::code;
 use driver_iface::side_file::Layout;
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
@@ -238,6 +237,9 @@ impl<'a> Session<'a> {
         if totals.received == 0 {
             note!("  nothing came{}", self.args.if_nothing());
         }
+        if let Some(next) = files.left_over() {
+            note!("  {} and those after it are of an earlier recording", next.display());
+        }
         if let Some(message) = &failed {
             wrong!("{message}");
         }
@@ -281,11 +283,11 @@ impl<'a> Session<'a> {
                 }
             };
             burst += 1;
-            if !pending && burst < BURST && self.taken() < most {
+            if !pending && burst < BURST && self.status.survey.came() < most {
                 continue;
             }
             burst = 0;
-            if self.taken() >= most || end_at.is_some_and(|end| end <= now) {
+            if self.status.survey.came() >= most || end_at.is_some_and(|end| end <= now) {
                 return Ok(());
             }
             if look_at <= now {
@@ -304,11 +306,6 @@ impl<'a> Session<'a> {
             let rest = (pending && may_rest).then_some(now + REST);
             ending |= self.wait(until, rest).in_words()?;
         }
-    }
-
-    /// Records that came; what a record says of the clock of the next is none.
-    fn taken(&self) -> u64 {
-        self.status.survey.records - self.status.survey.by_code.get(&code::CARD_CLOCK).copied().unwrap_or(0)
     }
 
     /// Waits for records until `until`, or rests from them until `rest`. True if a signal came.

@@ -104,23 +104,22 @@ pub fn run(args: &Args) -> Result {
         None => Target::Stdout(std::io::stdout().lock(), Vec::new()),
     };
     let mut source = Paced::new(log, args.speed, args.longest_pause);
-    let (clock, mut survey, mut sent) = (Monotonic::new(), Survey::default(), 0_u64);
+    let (clock, mut survey) = (Monotonic::new(), Survey::default());
     let begun = clock.now();
     loop {
         let next = source.receive(clock.now()).in_words()?;
+        if let Next::Record(_, record) = next
+            && let Err(error) = target.send(record)
+        {
+            return Ok(refused(&error, survey.came()));
+        }
         survey.note(&next);
         match next {
-            Next::Record(_, record) => {
-                if let Err(error) = target.send(record) {
-                    return Ok(refused(&error, sent));
-                }
-                sent += 1;
-            }
-            Next::Lost(_) => {}
+            Next::Record(..) | Next::Lost(_) => {}
             Next::End(_) => break,
             Next::Pending => {
                 if let Err(error) = target.flush() {
-                    return Ok(refused(&error, sent));
+                    return Ok(refused(&error, survey.came()));
                 }
                 let until = source.next_at().unwrap_or_else(|| clock.now());
                 if clock.wait([signals.as_fd()], Some(until)).in_words()?[0] {
@@ -129,6 +128,7 @@ pub fn run(args: &Args) -> Result {
             }
         }
     }
+    let sent = survey.came();
     if let Err(error) = target.flush() {
         return Ok(refused(&error, sent));
     }

@@ -6,13 +6,11 @@ use super::args::{Estimation, antenna, channel_of_5300};
 use super::live::{Listening, Needs, Signals, create_refused, duration, join_refused};
 use super::{InWords, Outcome, Result, Words, fixed, hint, is_end_of_room, print, print_json, usage};
 use csi5300::exchange::tdma::{Config, Dialect, Epoch, Event, Phy, Plan, PlanError, Request, TdmaCounts};
-use csi5300::internal::{Proof, Prover};
 use csi5300::motion::odometry::csv::{self, CsvError};
 use csi5300::pipeline::live::LiveEstimator;
 use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::recorder::{LogFiles, Rotation};
-use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_live::doctor::Machine;
@@ -20,8 +18,8 @@ use csi5300_live::listener::Listener;
 use csi5300_live::logged::Logged;
 use csi5300_live::monitor::{AirCounts, Monitor, Options};
 use csi5300_live::sounding::{
-    Beside, Figures, Finished, KERNEL_TURN_AROUND_US, News, Observer, Opened, Order, Running, Session, Settings, Setup,
-    Spread, measurement, products, rate_n_flags, read_key, set_rate, spread_of,
+    Beside, Figures, Finished, KERNEL_TURN_AROUND_US, Measuring, News, Observer, Opened, Running, Session, Settings,
+    Setup, Spread, products, rate_n_flags, read_key, set_rate, spread_of,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
@@ -107,8 +105,12 @@ impl Line {
     }
 }
 
-/// The bearings of all peers with products, or why the trajectory cannot be read.
-type Made = Words<Vec<(Mac, usize, std::result::Result<Bearing, LinkError>)>>;
+/// What the trajectory lacks, and the bearings of all peers with products; or why it cannot be read.
+type Made = Words<(Lacks, Vec<(Mac, usize, std::result::Result<Bearing, LinkError>)>)>;
+
+/// Skipped rows of a trajectory, in words, and whether they are a loss.
+#[derive(Default)]
+struct Lacks(Vec<String>, bool);
 
 /// Makes bearings from products, beside the sounding.
 struct Bearings<'a> {
@@ -120,15 +122,16 @@ struct Bearings<'a> {
     told: bool,
     /// Reported numbers with two records.
     contested: u64,
-    /// The trajectory could not be read the last time.
-    unread: bool,
+    /// Of the last reading of the trajectory; one that could not be read is a loss.
+    lacks: Lacks,
 }
 
-/// What `sound` does beside sounding.
-struct Live<'a>(Option<Bearings<'a>>);
+/// What `sound` does beside sounding: bearings, and measurements for the answers to other initiators.
+struct Live<'a>(Option<Bearings<'a>>, Measuring);
 
 impl Observer for Live<'_> {
-    fn record(&mut self, next: &Next<'_>, _running: &Running) {
+    fn record(&mut self, next: &Next<'_>, running: &Running) {
+        self.1.note(next, running);
         if let Some(bearings) = &mut self.0 {
             bearings.products.handle_own(next);
         }
@@ -172,7 +175,12 @@ impl Bearings<'_> {
         }
         let (links, path) = (self.products.links(), self.path.to_owned());
         let work = move || match csv::read_as(&path, None) {
-            Ok((trajectory, _)) => Ok(links.bearings(&trajectory)),
+            Ok((trajectory, mut counts)) => {
+                let notes = counts.notes(&trajectory);
+                // One row may be in the middle of being written.
+                counts.bad_rows = counts.bad_rows.saturating_sub(1);
+                Ok((Lacks(notes, counts.lost_something(&trajectory)), links.bearings(&trajectory)))
+            }
             Err(error @ CsvError::Io { .. }) => Err(error.to_string()),
             Err(error) => Err(format!("{}: {error}", path.display())),
         };
@@ -183,22 +191,28 @@ impl Bearings<'_> {
 
     /// Prints the bearings that are ready.
     fn tell(&mut self, made: Made) {
-        self.unread = made.is_err();
-        let made = match made {
-            Ok(made) => made,
-            Err(error) => return wrong!("{error}"),
-        };
+        let (lacks, made) = made.unwrap_or_else(|error| {
+            wrong!("{error}");
+            (Lacks(Vec::new(), true), Vec::new())
+        });
+        self.lacks = lacks;
         for (mac, pairs, made) in made {
             self.show(&Line::new(mac, pairs, &made));
         }
     }
 
-    /// The end: waits for the bearings under way and prints them, unless a signal ended the sounding or ends this. False if the
-    /// trajectory could not be read.
+    /// The end: waits for the bearings under way and prints them, unless a signal ended the sounding or ends this. False if
+    /// something of the trajectory could not be read, or no answer carried a measurement.
     fn finish(mut self, signals: &Signals) -> Words<bool> {
         let last = self.beside.last(self.clock, signals.as_fd()).in_words()?;
         last.into_iter().for_each(|made| self.tell(made));
-        Ok(!self.unread)
+        let Lacks(notes, is_loss) = self.lacks;
+        notes.into_iter().for_each(|words| note!("{}: {words}", self.path.display()));
+        let is_measured = self.products.peers().any(|(_, counts)| counts.heard_by_peer > 0);
+        if !is_measured {
+            note!("{NO_MEASUREMENT}");
+        }
+        Ok(is_measured && !is_loss)
     }
 
     fn show(&self, line: &Line) {
@@ -254,13 +268,14 @@ pub fn run(args: &Args) -> Result {
             let mut products = products(&common.peers, options);
             opened.key.iter().for_each(|key| products.require_key(key));
             let beside = Beside::new(now, args.bearing_every);
-            Some(Bearings { args, products, path, beside, clock, told: false, contested: 0, unread: false })
+            Some(Bearings { args, products, path, beside, clock, told: false, contested: 0, lacks: Lacks::default() })
         }
         _ => None,
     };
     common.see_to_rate(args.antenna)?;
     let messages = common.messages(wanted, opened.own)?;
-    let mut live = Live(bearings);
+    let measuring = Measuring::new(args.antenna, common.peers.clone(), opened.key.clone());
+    let mut live = Live(bearings, measuring);
     let (mut outcome, row) = common.run(&signals, messages, opened, (clock, args.open_loop), &mut live)?;
     if let Some(bearings) = live.0
         && !bearings.finish(&signals)?
@@ -274,31 +289,17 @@ pub fn run(args: &Args) -> Result {
     Ok(outcome)
 }
 
-/// Hands the card's measurements to the answers.
-struct Measuring {
-    antenna: Antenna,
-    peers: Vec<Mac>,
-    survey: Survey,
-    prover: Prover,
-    carries: bool,
+/// Hands the card's measurements to the answers, if they carry any.
+struct Answering {
+    measuring: Option<Measuring>,
     told: bool,
 }
 
-impl Observer for Measuring {
+impl Observer for Answering {
     fn record(&mut self, next: &Next<'_>, running: &Running) {
-        let proof = self.prover.note(next);
-        let Some((bfee, identity)) = self.survey.note(next) else { return };
-        if self.carries && identity.frame_count.is_none() && bfee.wsr().is_none() && !self.told {
-            self.told = true;
+        let is_numbered = self.measuring.as_mut().is_none_or(|measuring| measuring.note(next, running));
+        if !is_numbered && !std::mem::replace(&mut self.told, true) {
             note!("{NO_NUMBERS}");
-        }
-        if self.carries
-            && proof != Proof::Wrong
-            && self.peers.contains(&identity.mac)
-            && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
-        {
-            // Where too many wait, the next one is newer.
-            running.order(Order::Measurement(identity.mac, measurement));
         }
     }
 
@@ -320,9 +321,8 @@ fn answer(common: &Sounding, antenna: Antenna, json: bool) -> Result {
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
     common.see_to_rate(antenna)?;
     let messages = common.messages(wanted, opened.own)?;
-    let peers = common.peers.clone();
-    let (survey, prover) = (Survey::with_known(peers.iter().copied()), Prover::new(opened.key.clone()));
-    let mut task = Measuring { antenna, peers, survey, prover, carries, told: false };
+    let measuring = carries.then(|| Measuring::new(antenna, common.peers.clone(), opened.key.clone()));
+    let mut task = Answering { measuring, told: false };
     let (outcome, row) = common.run(&signals, messages, opened, (clock, false), &mut task)?;
     if json {
         print_json(&row);
@@ -390,7 +390,7 @@ struct Sounding {
     #[arg(long, value_name = "OUT.dat")]
     log: Option<PathBuf>,
     /// Overwrite existing outputs
-    #[arg(long)]
+    #[arg(long, requires = "log")]
     force: bool,
     #[command(flatten)]
     listening: Listening,
@@ -708,6 +708,9 @@ impl ExchangeRow {
     }
 }
 
+/// Printed if no answer is of use for bearings.
+const NO_MEASUREMENT: &str = "no answer carried a measurement, so there is no bearing: the other robots need access to their cards, and \
+                              those that initiate too need --trajectory or --log";
 /// Printed once if the driver's records carry neither sender nor number.
 const NO_NUMBERS: &str = "the driver's records carry neither sender nor number: load it with connector_log=0x5 (csitool), or use the WSR driver";
 

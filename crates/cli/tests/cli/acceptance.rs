@@ -46,6 +46,14 @@ fn a_scene_is_judged_and_the_report_is_written() {
     let (out, _) = folder.says(&["doctor", "--accept", "desk/far.dat", "--channel", "108", "--json"], 0, &[]);
     let report = json(&out);
     assert_eq!(report["logs"][0]["records"], 2998);
+    // Logs in a report's folder are those of the last run, or said to be older; other folders' logs stay.
+    let again = |report: &'static str| ["doctor", "--accept", "desk/near2.dat", "--channel", "108", "--report", report];
+    let (_, _, err) = folder.run(&again("desk"));
+    assert!(err.contains("desk/far.dat is of an earlier run") && !err.contains("near.dat is"), "{err}");
+    std::fs::create_dir(folder.0.join("own")).unwrap();
+    let own = folder.write("own/near.dat", b"a recording");
+    folder.says(&again("own"), 1, &["own/near.dat exists, and no report beside it"]);
+    assert_eq!(std::fs::read(own).unwrap(), b"a recording");
 }
 
 #[test]

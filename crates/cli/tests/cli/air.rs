@@ -415,7 +415,21 @@ fn sounding_without_a_trajectory_is_not_all_done_and_without_answers_it_is_if_no
     let (status, _, said) = folder.run(&[&sound[..], &slow, &bearings].concat());
     assert!(status == 3 && !said.contains("nowhere.csv: cannot read the trajectory nowhere.csv"), "{status} {said}");
     assert!(said.contains("cannot read the trajectory nowhere.csv"), "{said}");
+    folder.write("holes.csv", b"1,0,0,0,0\n2,0,1,0,0\n?,?,?,?,?\n?,?,?,?,?\n3,0,2,0,0\n");
+    let bearings = ["--trajectory", "holes.csv", "--channel", "108"];
+    let (status, _, said) = folder.run(&[&sound[..], &slow, &bearings].concat());
+    assert!(status == 3 && said.contains("holes.csv: 2 rows skipped, the first in line 3"), "{status} {said}");
     respond.end_by(Signal::SIGINT);
+    // A robot that initiates too answers as one that only answers, if it listens to its card.
+    for (more, is_measured) in [(&bearings[..], true), (&[], false)] {
+        let other = ["sound", "--room", &tx, "--peers", "02:00:00:00:00:0a"];
+        let mut other = Program::start(&[&other[..], &slow, more].concat());
+        other.until("sending under");
+        let (status, _, said) = folder.run(&[&sound[..], &slow, &bearings].concat());
+        let has_none = said.contains("no answer carried a measurement");
+        assert!(status == 3 && has_none != is_measured, "{status} {said}");
+        other.end_by(Signal::SIGINT);
+    }
     let (status, _, said) = folder.run(&[&sound[..], &slow, &["--dialect", "wsr", "--open-loop"]].concat());
     assert!(status == 0 && said.contains(", 0 answered\n"), "{status} {said}");
     assert!(!said.contains("does not answer") && !said.contains("waiting for"), "{said}");

@@ -34,6 +34,10 @@ fn two_logs_of_feitcsi_give_the_rooms_bearing() {
     let truth_deg = (9.0_f64 - 0.25).atan2(-4.0).to_degrees();
     assert!((answer["azimuth_deg"].as_f64().unwrap() - truth_deg).abs() < 0.2, "{answer}");
     assert!(answer["compensated"].as_bool().unwrap() && answer["pairs"].as_u64().unwrap() >= 595, "{answer}");
+    // What a log of another card says of its clock is no record of its own.
+    let mut replay = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    let played = replay.args(["replay", &rx, "--speed", "max"]).current_dir(&folder.0).output().unwrap();
+    assert!(String::from_utf8_lossy(&played.stderr).contains("600 records played"), "{played:?}");
     // The same of the folder, whose files are named as those of a capture.
     assert_eq!(folder.rows(&["bearing", "room", "--json"], 0)[0]["azimuth_deg"], answer["azimuth_deg"]);
 

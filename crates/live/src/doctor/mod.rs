@@ -643,7 +643,7 @@ mod tests {
         let lines: Vec<_> = initiator.iter().map(Step::line).collect();
         assert!(lines.iter().any(|line| line.contains("ack_len=1000000")), "{lines:?}");
         assert!(lines.iter().any(|line| line.contains("set channel 36 HT40+")), "{lines:?}");
-        assert!(lines.last().unwrap().starts_with("echo 0x4900 | sudo tee "), "{lines:?}");
+        assert!(lines.last().unwrap().starts_with("sudo sh -c 'echo 0x4900 | tee "), "{lines:?}");
 
         let undone = apply(&system, &undo(&system, "wlp1s0"));
         assert!(undone.iter().any(|line| line.contains("set type managed")));
@@ -659,8 +659,8 @@ mod tests {
         let system = stage.tree();
         let lines: Vec<_> =
             plan(&system, &request(Role::Responder, "64", None)).unwrap().iter().map(Step::line).collect();
-        assert!(lines.iter().any(|line| line == "sudo modprobe iwlwifi connector_log=0x1"), "{lines:?}");
-        assert!(lines.last().unwrap().starts_with("echo 0x4101"), "{lines:?}");
+        assert!(lines.iter().any(|line| line == "sudo modprobe iwlwifi connector_log=0x5"), "{lines:?}");
+        assert!(lines.last().unwrap().starts_with("sudo sh -c 'echo 0x4101 | tee /sys/kernel/debug/"), "{lines:?}");
         stage.put("run/modinfo -p iwlwifi", "swcrypto:software crypto (int)\n");
         assert!(
             plan(&system, &request(Role::Initiator, "64", None)).unwrap_err().to_string().contains("no connector_log")

@@ -94,6 +94,8 @@ impl Step {
     pub fn line(&self) -> String {
         match &self.action {
             Action::Run(words) => format!("sudo {}", words.join(" ")),
+            // Only root's shell can look for names in debugfs.
+            Action::Write { path, text } if path.contains('*') => format!("sudo sh -c 'echo {text} | tee {path}'"),
             Action::Write { path, text } => format!("echo {text} | sudo tee {path}"),
         }
     }
@@ -211,10 +213,12 @@ fn reload(system: &dyn System, ack_len: Option<u32>) -> Vec<Step> {
         let text = system.text(&format!("/sys/module/iwlwifi/parameters/{name}"));
         text.and_then(|text| number(&text)) == Some(wanted)
     };
-    if is("connector_log", 1) && ack_len.is_none_or(|length| is("ack_len", length)) {
+    // csitool's records name their sender and its number only by the frames (0x4).
+    let log = if ack_len.is_some() { 0x1 } else { 0x5 };
+    if is("connector_log", log) && ack_len.is_none_or(|length| is("ack_len", length)) {
         return Vec::new();
     }
-    let mut load = vec!["modprobe".to_string(), "iwlwifi".into(), "connector_log=0x1".into()];
+    let mut load = vec!["modprobe".to_string(), "iwlwifi".into(), format!("connector_log={log:#x}")];
     load.extend(ack_len.map(|length| format!("ack_len={length}")));
     let load = Step { why: "CSI to the connector", action: Action::Run(load), may_fail: false };
     loaded_again("the driver takes its parameters when it is loaded", load).into()

@@ -17,8 +17,8 @@ mod sessions;
 mod thread;
 
 pub use exchange::{Exchange, Figures, KERNEL_TURN_AROUND_US, News, Notice, Spread, spread_of};
-pub use products::{Beside, measurement, products};
-pub use thread::{Order, Running, Settings};
+pub use products::{Beside, Measuring, measurement, products};
+pub use thread::{Running, Settings};
 
 use crate::doctor::{IWL5300, MODULE_RATE, System, rate_file};
 use crate::listener::Listener;
@@ -95,7 +95,7 @@ impl<'a> Session<'a> {
     ) -> Result<Finished, Error> {
         let connector = messages.as_ref().map(|messages| messages.source().as_fd().try_clone_to_owned());
         let connector = connector.transpose().map_err(Error::io("what is listened to"))?;
-        let running = Running::start_opened(opened, self.clock, self.settings)?;
+        let running = Running::start(opened, self.clock, self.settings)?;
         let failed = loop {
             if let Err(error) = take(messages.as_mut(), self.clock.now(), &running, observer) {
                 break Some(error);
@@ -232,7 +232,7 @@ pub struct Setup {
     pub key: Option<Key>,
 }
 
-/// An exchange that can be started with [`Running::start`](Running::start).
+/// An exchange that can be started with [`Running::start`].
 #[derive(Debug)]
 pub struct Opened {
     /// The machine.

@@ -7,13 +7,15 @@
 //! [`Beside`] computes them beside a session: a bearing may take seconds, while the session must read its driver and watch
 //! its stop and its time.
 
+use super::Running;
 use crate::wait::Monotonic;
-use csi5300::internal::FrameHeard;
+use csi5300::exchange::tdma::Key;
+use csi5300::internal::{FrameHeard, Proof, Prover};
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::Options;
 use csi5300::pipeline::live::{LiveEstimator, LivePeer, LiveSettings, Track};
-use csi5300::source::Error;
-use csi5300::source::survey::Identity;
+use csi5300::source::survey::{Identity, Survey};
+use csi5300::source::{Error, Next};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Bfee};
@@ -36,6 +38,36 @@ pub fn measurement(bfee: &Bfee<'_>, identity: &Identity, antenna: Antenna) -> Op
         agc: bfee.agc(),
         iq: heard.iq(),
     })
+}
+
+/// Hands the card's measurements of the peers' frames to the answers.
+pub struct Measuring {
+    antenna: Antenna,
+    peers: Vec<Mac>,
+    survey: Survey,
+    prover: Prover,
+}
+
+impl Measuring {
+    /// Of this antenna; with a key, frames without its tag are not measured.
+    #[must_use]
+    pub fn new(antenna: Antenna, peers: Vec<Mac>, key: Option<Key>) -> Self {
+        let (survey, prover) = (Survey::with_known(peers.iter().copied()), Prover::new(key));
+        Self { antenna, peers, survey, prover }
+    }
+
+    /// Takes what the card gave. False for a record without sender and number, which no answer can carry.
+    pub fn note(&mut self, next: &Next<'_>, running: &Running) -> bool {
+        let proof = self.prover.note(next);
+        let Some((bfee, identity)) = self.survey.note(next) else { return true };
+        if proof != Proof::Wrong
+            && self.peers.contains(&identity.mac)
+            && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
+        {
+            running.carry(identity.mac, measurement);
+        }
+        identity.frame_count.is_some() || bfee.wsr().is_some()
+    }
 }
 
 /// The links of one initiator to `peers` that stand still: an estimator that takes the card's records and the peers' measurements,

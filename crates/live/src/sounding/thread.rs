@@ -6,7 +6,6 @@ use super::sessions::PeerSessions;
 use crate::monitor::Monitor;
 use crate::wait::Monotonic;
 use crate::{refused, sys};
-use csi5300::exchange::tdma::{Priority, Tdma};
 use csi5300::source::Error;
 use csi5300::time::Instant;
 use driver_iface::Mac;
@@ -35,21 +34,12 @@ impl Default for Settings {
     }
 }
 
-/// Orders to the running thread.
-#[derive(Clone, Copy, Debug)]
-pub enum Order {
-    /// This robot's measurement of a forward frame of that peer, for the next answer to it.
-    Measurement(Mac, Measurement),
-    /// The priority of the link to that peer, for the rounds that follow.
-    Priority(Mac, Priority),
-}
-
 /// An exchange that runs.
 #[derive(Debug)]
 pub struct Running {
     thread: JoinHandle<Ended>,
     stop: PipeWriter,
-    orders: Arc<Mailbox<Order>>,
+    measured: Arc<Mailbox<(Mac, Measurement)>>,
     news: Arc<Mailbox<News>>,
     heard: Mutex<PeerSessions>,
 }
@@ -66,30 +56,22 @@ impl Running {
     ///
     /// # Errors
     /// If pipe or thread cannot be created.
-    pub fn start(tdma: Tdma, monitor: Monitor, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
+    pub fn start(opened: Opened, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
         let what = "cannot start the thread that sends";
         let (stopped, stop) = std::io::pipe().map_err(Error::io(what))?;
-        let (orders, news) = (Mailbox::new(), Mailbox::new());
-        let (ordered, told) = (Arc::clone(&orders), Outbox::new(&news));
-        let mut exchange = Exchange::new(tdma, monitor);
+        let (measured, news) = (Mailbox::new(), Mailbox::new());
+        let (to_carry, told) = (Arc::clone(&measured), Outbox::new(&news));
+        let mut exchange = Exchange::new(opened.tdma, opened.monitor);
         exchange.stop_at = settings.stop_at;
-        let work = move || run(exchange, clock, settings, &stopped, &ordered, told);
+        let work = move || run(exchange, clock, settings, &stopped, &to_carry, told);
         let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(Error::io(what))?;
-        Ok(Self { thread, stop, orders, news, heard: Mutex::default() })
+        Ok(Self { thread, stop, measured, news, heard: Mutex::new(opened.heard) })
     }
 
-    /// The same for a [`Setup::open_on`](super::Setup::open_on), which saves its peers' sessions.
-    ///
-    /// # Errors
-    /// As [`Running::start`].
-    pub fn start_opened(opened: Opened, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
-        let running = Self::start(opened.tdma, opened.monitor, clock, settings)?;
-        Ok(Self { heard: Mutex::new(opened.heard), ..running })
-    }
-
-    /// Gives an order for before the next frame. False if too many wait.
-    pub fn order(&self, order: Order) -> bool {
-        self.orders.put(order)
+    /// Hands over this robot's measurement of a forward frame of that peer, for the next answer to it. Where too many wait it is
+    /// dropped: the next one is newer.
+    pub fn carry(&self, peer: Mac, measurement: Measurement) {
+        self.measured.put((peer, measurement));
     }
 
     /// The next news, if there are any.
@@ -150,17 +132,14 @@ fn run(
     clock: Monotonic,
     settings: Settings,
     stopped: &PipeReader,
-    orders: &Mailbox<Order>,
+    measured: &Mailbox<(Mac, Measurement)>,
     mut news: Outbox<News>,
 ) -> Ended {
     news.put(News::Started(ask(settings)));
     let error = loop {
-        while let Some(order) = orders.take_at_once() {
+        while let Some((peer, measurement)) = measured.take_at_once() {
             // A frame that was not for this robot, or a robot that is no peer: nothing to be done about it.
-            let _ = match order {
-                Order::Measurement(peer, measurement) => exchange.tdma.set_measurement(peer, measurement),
-                Order::Priority(peer, priority) => exchange.tdma.set_priority(peer, priority),
-            };
+            let _ = exchange.tdma.set_measurement(peer, measurement);
         }
         if exchange.is_over(clock.now()) {
             break None;

@@ -8,7 +8,7 @@ use crate::threads::spawn;
 use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 use std::fs::{File, TryLockError};
-use std::io::{IsTerminal, Write};
+use std::io::{IsTerminal, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -195,9 +195,23 @@ fn append_to(path: &str) -> std::io::Result<File> {
     if is_file && matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
         return Err(std::io::Error::other("another node writes it: stop that one, or give `bearings` another name"));
     }
+    // Behind a line that a power cut left, the first one could not be read either.
+    if is_file && ends_within_a_line(path) {
+        (&file).write_all(b"\n")?;
+    }
     // The writing thread waits for a slow reader.
     nix::fcntl::fcntl(&file, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::O_APPEND))?;
     Ok(file)
+}
+
+/// True for a file that can be read and whose last byte is no end of a line.
+fn ends_within_a_line(path: &str) -> bool {
+    let mut last = [b'\n'];
+    let read = File::open(path).and_then(|mut file| {
+        file.seek(SeekFrom::End(-1))?;
+        file.read_exact(&mut last)
+    });
+    read.is_ok() && last != *b"\n"
 }
 
 #[cfg(test)]
@@ -255,6 +269,20 @@ mod tests {
         // The thread that writes is done with it.
         assert!(done.recv().is_err());
         assert!(Lines::open(&output).is_ok());
+        std::fs::remove_file(&path).unwrap();
+    }
+
+    #[test]
+    fn behind_half_a_line_whole_ones_follow() {
+        let path = std::env::temp_dir().join(format!("csi5300-bearings-half-{}", std::process::id()));
+        let output = Output { bearings: path.display().to_string(), ..Output::default() };
+        for (before, after) in [("", "7\n"), ("1\n", "1\n7\n"), ("1\n{\"half", "1\n{\"half\n7\n")] {
+            std::fs::write(&path, before).unwrap();
+            let mut lines = Lines::open(&output).unwrap().unwrap();
+            lines.write(&7);
+            assert_eq!(lines.end(Duration::MAX), 0);
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), after);
+        }
         std::fs::remove_file(&path).unwrap();
     }
 

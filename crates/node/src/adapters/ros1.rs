@@ -3,7 +3,7 @@
 //! master have rospy.
 
 use super::{Adapter, Made, Robot, Said, Start, mislabelled};
-use crate::config::{Config, Odometry, Ros, name_part};
+use crate::config::{Config, Odometry, Ros};
 use crate::diagnostics::Claims;
 use crate::health::Health;
 use crate::lock;
@@ -15,7 +15,7 @@ use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
 use csi5300_bag::messages::{Csi, Header, SelfTestResponse, Time};
 use csi5300_live::wait::wall_us;
-use csi5300_ros2::said;
+use csi5300_ros2::{name_part, said};
 use serde_json::{Value, json};
 use std::fs::File;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};

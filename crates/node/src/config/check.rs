@@ -3,13 +3,14 @@
 //! One function for each group of rules. A refusal names the place of the wrong key, or of the table that lacks one;
 //! the spans of the TOML reader give its line.
 
-use super::{Capture, Config, Odometry, Peer, Problem, Records, Room, Ros, name_part};
+use super::{Capture, Config, Odometry, Peer, Problem, Records, Room, Ros};
 use crate::adapters;
 use csi5300::exchange::tdma::{Plan, PlanError, Request};
 use csi5300::motion::odometry::ros::{Stamp, plain};
 use csi5300::pipeline::ArrayError;
 use csi5300::source::side_path;
 use csi5300_live::sounding::rate_n_flags;
+use csi5300_ros2::name_part;
 use csi5300_ros2::settings::{self, Distribution, Wrong};
 use csi5300_sim::Scene;
 use csi5300_sim::motion::RobotMotion;
@@ -450,7 +451,12 @@ impl Check<'_> {
         if config.peer.is_empty() && self.knows(&["peer"]) {
             self.refuse("team", "[team] needs a [[peer]]: the graph is made of bearings");
         }
-        let places = team.places.keys().map(|name| ("places", name, None));
+        let has_poses = |name: &String| {
+            let peers = config.peer.iter().map(|peer| peer.get_ref());
+            peers.filter(|peer| peer.name == *name).any(|peer| !matches!(peer.poses, Odometry::Static(_)))
+        };
+        let moves = "a known place is that of a peer that stands: leave it out, or the peer's `poses`";
+        let places = team.places.keys().map(|name| ("places", name, has_poses(name).then(|| moves.to_owned())));
         let ranges = team.ranges.iter().map(|(name, ranges)| ("ranges", name, settings::wrong_name(&ranges.topic)));
         for (key, name, wrong) in places.chain(ranges) {
             let is_peer = config.peer.iter().any(|peer| peer.get_ref().name == *name);
@@ -854,6 +860,7 @@ mod tests {
         good(&room("[team]\nranges.tx = { topic = '/uwb/tx' }\n"));
         all_refused([
             ("places", "no peer `ty`", room("[team]\nframe = 'hall'\nplaces.ty = [1.0, 2.0]\n")),
+            ("places", "leave it out", room("poses.room = {}\n[team]\nplaces.tx = [1.0, 2.0]\n")),
             ("places", "finite", room("[team]\nplaces.tx = [1.0, inf]\n")),
             ("places", "3 numbers where 2 are expected", room("[team]\nplaces.tx = [1.0, 2.0, 3.0]\n")),
             (
@@ -1018,6 +1025,15 @@ mod tests {
         let second = |lines: &str| linked(&format!("[[peer]]\nname = 'c'\nmac = '02:00:00:00:00:03'\n{lines}"));
         all_refused([
             ("# none", "needs a name", swap(&linked(""), "'b'", "'' # none")),
+            (
+                "'1b'",
+                "the names of those of `_1b`",
+                swap(
+                    &linked("[[peer]]\nname = '1b'\nmac = '02:00:00:00:00:03'\nrecords.network = {}\n[ros2]\n"),
+                    "'b'",
+                    "'_1b'",
+                ),
+            ),
             (
                 "b-1",
                 "the names of those of `b_1`",

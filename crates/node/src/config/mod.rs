@@ -21,6 +21,7 @@ use csi5300::pipeline::{Array, ArrayError, ChainConstant, Effort, Options};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::Error;
 use csi5300_live::feitcsi::Command;
+use csi5300_ros2::name_part;
 use csi5300_ros2::settings::{Settings as Ros2, Topic};
 use csi5300_sim::Scene;
 use csi5300_sim::toml_lines::TomlLines;
@@ -712,14 +713,8 @@ impl Ros {
 
     /// The name of the node: the configured one, or that of the robot or of the room's robot, or the MAC.
     pub(crate) fn node(&self, config: &Config) -> String {
-        self.node.clone().unwrap_or_else(|| format!("/csi5300_{}", name_part(&config.robot())))
+        self.node.clone().unwrap_or_else(|| format!("/{}", name_part(&format!("csi5300_{}", config.robot()))))
     }
-}
-
-/// A name as a part of a name in ROS, which has letters, digits and `_` only.
-pub(crate) fn name_part(name: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-    name.chars().map(plain).collect()
 }
 
 /// The graph of this robot and its peers ([`crate::team`]).

@@ -69,6 +69,32 @@ fn a_configuration_is_checked_whole_before_anything_starts() {
     assert_eq!(alone(&["--check", "watch", "--once"]).0, 2, "every option acts or is refused");
 }
 
+/// The keys that a table may have, as the refusal of an unknown one lists them.
+fn keys_of(table: &str) -> Vec<String> {
+    let capture = if table.starts_with("capture") { "" } else { "capture.card = {}\n" };
+    let text = format!("channel = '108'\n{capture}{}\n", table.replace("{}", "{ unknown_ = 1 }"));
+    let refusal = csi5300_node::config::Config::read(&text, Path::new("")).unwrap_err().to_string();
+    let (_, known) = refusal.split_once("unknown field `unknown_`, expected").unwrap_or_else(|| panic!("{refusal}"));
+    known.lines().next().unwrap().split('`').skip(1).step_by(2).map(str::to_owned).collect()
+}
+
+#[test]
+fn the_example_configuration_has_every_key() {
+    let text = std::fs::read_to_string(crate::common::root().join("packaging/robot.toml")).unwrap();
+    let words: Vec<&str> = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').collect();
+    let tables = ["estimator", "team", "output", "network", "sounding", "log", "ros", "ros2", "array"];
+    let tables = tables.map(|name| format!("[{name}]\nunknown_ = 1"));
+    let inline =
+        ["unknown_ = 1", "[[peer]]\nunknown_ = 1", "team.ranges.b = {}", "camera_mount = {}"].map(str::to_owned);
+    let poses = ["opencr", "ros", "ros2", "static"].map(|kind| format!("odometry.{kind} = {{}}"));
+    let captures = ["card", "stock", "replay", "room", "served"].map(|kind| format!("capture.{kind} = {{}}"));
+    for table in tables.iter().chain(&inline).chain(&poses).chain(&captures) {
+        let keys = keys_of(table);
+        let missing: Vec<&String> = keys.iter().filter(|key| !words.contains(&key.as_str())).collect();
+        assert!(!keys.is_empty() && missing.is_empty(), "{table}: {missing:?}");
+    }
+}
+
 #[test]
 fn the_example_configuration_is_good() {
     let example = crate::common::root().join("packaging/robot.toml");

@@ -66,9 +66,12 @@ fn config(name: &str, walker: usize, peers: &[usize], rest: &str) -> Config {
 
 /// The state of the team when the records have ended, as robot `r0` sees it.
 fn team(name: &str, walker: usize, peers: &[usize], rest: &str) -> Result<TeamState, String> {
-    let config = config(name, walker, peers, rest);
-    let (mut machine, ranges, mut now) = (machine(&config), Ranges::default(), Instant::ZERO);
-    let mut graph = Graph::new(&config, "r0", ranges.clone()).unwrap();
+    solved(&config(name, walker, peers, rest))
+}
+
+fn solved(config: &Config) -> Result<TeamState, String> {
+    let (mut machine, ranges, mut now) = (machine(config), Ranges::default(), Instant::ZERO);
+    let mut graph = Graph::new(config, "r0", ranges.clone()).unwrap();
     if config.team.as_ref().is_some_and(|team| !team.ranges.is_empty()) {
         machine.add_tap(Box::new(Uwb(ranges, 0)));
     }
@@ -124,8 +127,10 @@ fn known_places_give_the_pose_of_the_robot_in_their_frame() {
     assert!((x - 10.0).hypot(y + 4.0) < 0.3 && (yaw - 2.0).abs() < 0.1, "{:?}", found.odometry);
     // This robot's covariance is that of its errors too.
     assert!(found.robots[0].covariance[0][0] < 0.1 && found.robots[0].covariance[2][2] < 0.01, "{:?}", found.robots[0]);
-    // The place of a robot that walks is none, and without a place there is no frame.
-    let unseen = team("team-unseen", 1, &[1], "[team]\nplaces = { r1 = [1.0, 2.0] }\n");
+    // Without a bearing to a known place there is no frame.
+    let mut config = config("team-unseen", 0, &[1], "[team]\n");
+    config.team.as_mut().unwrap().places.insert("r2".into(), [1.0, 2.0]);
+    let unseen = solved(&config);
     assert!(unseen.as_ref().is_err_and(|why| why.contains("r0 has no link")), "{unseen:?}");
 }
 

@@ -130,6 +130,10 @@ impl Desk {
 
 /// Judges the desk. Exit status 1 if a claim fails or none could be tried, 3 if the run was interrupted.
 pub fn run(args: &Args) -> Result {
+    let folder = args.report.as_deref().filter(|folder| !folder.join("report.json").exists());
+    if let Some(log) = folder.into_iter().flat_map(logs_in).next() {
+        return Err(format!("{} exists, and no report beside it: give --report another folder", log.display()));
+    }
     let Some(Judged { mut evidence, facts, is_whole, stopped }) = evidence(args)? else { return Ok(Outcome::Done) };
     let mut report = evidence.judge();
     report.facts = facts;
@@ -342,11 +346,13 @@ fn write(report: &Report, evidence: &Evidence, stopped: Option<&Stopped>, folder
     let is_kept = |(name, bytes): &(String, Vec<u8>)| !bytes.is_empty() || (stopped.is_some() && name == "near.dat");
     files.retain(is_kept);
     files.extend(evidence.unplugged.iter().map(|(antenna, heard)| (unplugged(*antenna), heard.log.clone())));
-    for (name, bytes) in files {
-        std::fs::write(draft.path().join(&name), bytes)
+    for (name, bytes) in &files {
+        std::fs::write(draft.path().join(name), bytes)
             .map_err(|error| draft.words(&format!("cannot write {name}: {error}")))?;
     }
     draft.keep()?;
+    let is_new = |log: &PathBuf| files.iter().any(|(name, _)| log.ends_with(name));
+    logs_in(folder).filter(|log| !is_new(log)).for_each(|log| note!("{} is of an earlier run", log.display()));
     match stopped {
         Some(_) => Ok(()),
         None => match std::fs::remove_file(folder.join(FILE)) {
@@ -356,6 +362,12 @@ fn write(report: &Report, evidence: &Evidence, stopped: Option<&Stopped>, folder
             _ => Ok(()),
         },
     }
+}
+
+/// The logs in a report's folder.
+fn logs_in(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    let names = ["near.dat", "far.dat"].map(str::to_owned).into_iter().chain(Antenna::ALL.map(unplugged));
+    names.map(|name| folder.join(name)).filter(|log| log.exists())
 }
 
 /// A curve of the report.
@@ -825,7 +837,7 @@ fn answerer(desk: &Desk, first: Mac) -> Words<(Running, Mac)> {
     let clock = Monotonic::new();
     let opened =
         setup.open_on(monitor, |config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()));
-    let running = Running::start_opened(opened.in_words()?, clock, Settings::default()).in_words()?;
+    let running = Running::start(opened.in_words()?, clock, Settings::default()).in_words()?;
     Ok((running, mac))
 }
 
