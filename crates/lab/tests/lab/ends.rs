@@ -1,4 +1,6 @@
-//! One simulated link whose ends may both move, compared with its truth and the Cramer-Rao bound: for these tests and `research`.
+//! One simulated link whose ends may both move, compared with its truth and the Cramer-Rao bound: for these tests, a bench and
+//! `research`.
+#![allow(dead_code)] // each uses a part
 
 use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::{Pose, Trajectory};
