@@ -13,13 +13,16 @@ use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Accuracy, Bearing, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::figures::true_path;
-use csi5300_lab::ends::{Ends, bound_deg};
 use csi5300_sim::motion::{Circle, Line, RobotMotion};
 use csi5300_sim::radio::{Agc, FixedGain, Gain};
 use csi5300_sim::{Room, scene::Scene};
 use nalgebra::Vector3;
 use picture::*;
 use std::f64::consts::TAU;
+
+#[path = "../crates/lab/tests/lab/ends.rs"]
+mod ends;
+use ends::{Ends, bound_deg};
 
 /// Signal over noise in one direction on one subcarrier, dB.
 const SNR_DB: f64 = 25.0;

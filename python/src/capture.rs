@@ -7,7 +7,7 @@ use crate::options::{Keywords, columns as columns_of};
 use crate::pool::{build, pool};
 use crate::records::{Records, selected};
 use csi5300::bartlett::Grid;
-use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError};
+use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError, RowError};
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{
@@ -116,10 +116,13 @@ fn trajectory(of: &Bound<'_, PyAny>, columns: Option<&Columns>) -> PyResult<Traj
     let (trajectory, counts) = read;
     let rounded = trajectory.time_step_s().is_some();
     for words in counts.notes(&trajectory).into_iter().filter(|_| rounded || counts.lost_something(&trajectory)) {
-        let words = CString::new(format!("{name}: {words}")).unwrap_or_default();
-        PyErr::warn(of.py(), &of.py().get_type::<PyUserWarning>(), &words, 2)?;
+        warn(of.py(), &format!("{name}: {words}"))?;
     }
     Ok(trajectory)
+}
+
+fn warn(py: Python<'_>, words: &str) -> PyResult<()> {
+    PyErr::warn(py, &py.get_type::<PyUserWarning>(), &CString::new(words).unwrap_or_default(), 2)
 }
 
 /// An array has the columns of a file; with 4 or 5, those of [`pose_array`], unless they may be a file's.
@@ -143,8 +146,19 @@ fn poses(rows: &PyReadonlyArray2<'_, f64>, columns: Option<&Columns>) -> Result<
                 let position_m = Vector3::new(value(1), value(2), value(3));
                 Pose { t_s: value(0), position_m, heading_rad: Some(value(4)).filter(|heading| heading.is_finite()) }
             };
-            let trajectory = Trajectory::new(rows.rows().into_iter().map(pose).collect())?;
-            return Ok((trajectory, CsvCounts::default()));
+            // As of a file, rows without a time or a place are skipped and counted.
+            let mut counts = CsvCounts::default();
+            let mut poses = Vec::new();
+            for (line, row) in (1..).zip(rows.rows()) {
+                match row.iter().take(4).position(|value| !value.is_finite()) {
+                    None => poses.push(pose(row)),
+                    Some(column) => {
+                        counts.bad_rows += 1;
+                        counts.first_bad.get_or_insert((line, RowError::Number(column + 1)));
+                    }
+                }
+            }
+            return Ok((Trajectory::new(poses)?, counts));
         }
     }
     // As text, so that a row has the same meaning as in a file.
@@ -207,7 +221,7 @@ pub fn bearings(
     let moved = moved.collect::<PyResult<Vec<_>>>()?;
     let pool = if keywords.threads == 0 { pool()? } else { Arc::new(build(keywords.threads)?) };
     let every_s = keywords.every;
-    let (report, stretches, options) = interruptible(py, &stop, move || {
+    let (report, stretches, options, parted) = interruptible(py, &stop, move || {
         pool.install(move || {
             let trajectory = |k: usize| moved.get(k).and_then(Option::as_ref);
             let transmitters = logs.iter_mut().enumerate();
@@ -219,9 +233,12 @@ pub fn bearings(
             })?;
             let paths: Vec<_> = (0..report.links.len()).map(trajectory).collect();
             let cut = every_s.map(|every_s| report.in_stretches(&own, &paths, every_s, &options));
-            Ok((report, cut.unwrap_or_default(), options))
+            let mut all = std::iter::once(&own).chain(paths.into_iter().flatten());
+            let parted = all.find_map(|path| report.receiver.survey.clocks_part(path, &options));
+            Ok((report, cut.unwrap_or_default(), options, parted))
         })
     })?;
+    parted.map_or(Ok(()), |words| warn(py, &words))?;
     let mut stretches = stretches.into_iter();
     let links = names.into_iter().zip(report.links).zip(&report.transmitters);
     let answer = |((name, link), log): ((String, LinkReport), &LogReport)| {
@@ -253,10 +270,13 @@ pub fn one_log(
     let stop = Stop::default();
     let mut log = Stoppable { source: source(rx, &stop)?, stop: stop.clone() };
     let own = trajectory(path, keywords.columns()?.as_ref())?;
-    let (report, options) = interruptible(py, &stop, move || {
+    let (report, options, parted) = interruptible(py, &stop, move || {
         let report = estimate_one_log(&mut log, &own, &array, &options);
-        report.map(|report| (report, options)).map_err(|error| Failure::new(Kind::Capture, error))
+        let report = report.map_err(|error| Failure::new(Kind::Capture, error))?;
+        let parted = report.log.survey.clocks_part(&own, &options);
+        Ok((report, options, parted))
     })?;
+    parted.map_or(Ok(()), |words| warn(py, &words))?;
     if report.links.is_empty() {
         let why = format!("{name}: no record has the CSI of all named antennas ({letters})");
         return Err(Failure::new(Kind::Capture, why).into());

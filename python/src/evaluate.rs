@@ -80,7 +80,7 @@ pub fn evaluate_capture(
 ) -> PyResult<Vec<String>> {
     let runs = runs.iter().map(|(trajectory, keywords)| Run::new(trajectory, keywords));
     let runs = runs.collect::<Result<Vec<_>, _>>()?;
-    let capture = Capture { place, stamp, folder, loose: None, transmitters, antenna_offset_m: None, camera: None };
+    let capture = Capture { place, stamp, folder, transmitters, ..Capture::default() };
     let stop = cancel.map(|cancel| cancel.0.clone()).unwrap_or_default();
     let asked = stop.clone();
     interruptible(py, &stop, move || {

@@ -2,6 +2,7 @@
 
 use crate::capture::pose_array;
 use crate::error::{Failure, Kind, Stop, interruptible};
+use csi5300::signal::channel::{Channel, Width};
 use csi5300_sim::scene::Driver;
 use csi5300_sim::{Room, Scene, SceneError};
 use pyo3::prelude::*;
@@ -30,7 +31,7 @@ pub fn simulate<'py>(
     is_json: bool,
     seed: Option<u64>,
     layout: Option<&str>,
-) -> PyResult<(u16, Vec<usize>, Vec<Bound<'py, PyDict>>)> {
+) -> PyResult<(String, Vec<usize>, Vec<Bound<'py, PyDict>>)> {
     let mut scene = scene(text, is_json)?;
     scene.seed = seed.unwrap_or(scene.seed);
     scene.driver = match layout {
@@ -39,7 +40,10 @@ pub fn simulate<'py>(
         Some("stock") => Driver::Stock,
         Some(other) => return Err(Failure::new(Kind::Option, format!("layout: {other:?} is not wsr or stock")).into()),
     };
-    let (channel, initiators) = (scene.channel, scene.initiators());
+    // The number of a wider channel is that of its centre, which may be none of 20 MHz.
+    let centre = Channel::new(scene.channel.into(), Width::Ht20).ok().filter(|_| scene.bandwidth_mhz > 20);
+    let channel = centre.map_or(scene.channel.to_string(), |own| format!("{:.0}MHz", 1e-6 * own.centre_hz()));
+    let initiators = scene.initiators();
     let stop = Stop::default();
     let asked = stop.clone();
     let run = interruptible(py, &stop, move || {

@@ -52,6 +52,16 @@ def test_a_translated_log_in_memory_keeps_the_cards_clock() -> None:
     assert of_bytes and {**of_logs.answer, **named} == {**of_bytes.answer, **named}
 
 
+def test_rows_of_an_array_without_a_place_are_skipped_as_those_of_a_file(rx: Path, tx: Path, path_csv: Path) -> None:
+    rows = csi5300.read_trajectory(path_csv)
+    rows[:, 4] = np.nan
+    rows[5, 2] = np.nan
+    with pytest.warns(UserWarning, match="1 rows skipped, the first in line 6: column 3 is not a finite number"):
+        (bearing,) = csi5300.bearings(rx, tx, trajectory=rows, channel=108)
+    (of_file,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
+    assert bearing.azimuth_deg == pytest.approx(of_file.azimuth_deg, abs=0.1)
+
+
 def test_what_a_notebook_shows_fits_on_a_line_or_in_a_table(rx: Path, tx: Path, path_csv: Path) -> None:
     (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     text = repr(bearing)
@@ -224,6 +234,9 @@ def test_a_room_has_its_bearing() -> None:
     (bearing,) = room.bearings()
     assert bearing.azimuth_deg == pytest.approx(room.true_azimuth_deg("tx"), abs=3)
     assert csi5300.simulate(scene)["tx"].data == room["tx"].data, "a seed is a room"
+    wide = csi5300.simulate({**scene, "channel": 102, "bandwidth_mhz": 40})
+    (bearing,) = wide.bearings()
+    assert wide.channel == "5510MHz" and bearing.azimuth_deg == pytest.approx(wide.true_azimuth_deg("tx"), abs=3)
     assert csi5300.simulate(scene, seed=6)["tx"].data != room["tx"].data
     stock = csi5300.simulate(scene, layout="stock")
     assert stock["rx"].log.info["survey"]["stock"] == 600

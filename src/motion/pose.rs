@@ -29,6 +29,13 @@ const STILL_M_PER_S: f64 = 0.004;
 /// Half the time over which speed is judged, seconds.
 const SPEED_HALF_S: f64 = 0.1;
 
+/// From one pose to the next no robot gets further than this, metres, faster than this, m/s. (Steps of 71 recordings: up to 5 cm.)
+const JUMP_M: f64 = 0.5;
+const JUMP_M_PER_S: f64 = 30.0;
+
+/// A robot that got less than this share of its way across a gap did not drive for so long: its clock was set on.
+const NO_WAY: f64 = 0.2;
+
 /// Where a robot was, and which way it looked.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
@@ -85,6 +92,8 @@ pub(crate) struct LeftOut {
     /// How many poses are of other parts than the longest between steps of a clock that was set back, and the largest of these
     /// steps, seconds: with all of them the robot would be in two places at once.
     pub set_back: Option<(usize, f64)>,
+    /// Largest step back of the times as they were given, seconds.
+    pub back_s: f64,
 }
 
 /// The kind of sensor of a trajectory, if certain; it determines the deviation of the heading.
@@ -292,6 +301,7 @@ impl Trajectory {
         let mut left_out = LeftOut::default();
         // Sorting takes half as much memory again; files are in order.
         if !is_in_order(&poses) {
+            left_out.back_s = poses.windows(2).map(|w| w[0].t_s - w[1].t_s).fold(0.0, f64::max);
             left_out.set_back = in_order(&mut poses);
         }
         let rounded = spread(&mut poses)?;
@@ -438,6 +448,41 @@ impl Trajectory {
         let wide = self.poses.windows(2).filter(|w| w[1].t_s - w[0].t_s > self.max_gap_s);
         wide.map(|w| Gap { from_s: w[0].t_s, to_s: w[1].t_s, moved_m: (w[1].position_m - w[0].position_m).norm() })
             .collect()
+    }
+
+    /// Steps from one pose to the next that no robot makes: how many, and the furthest, metres.
+    #[must_use]
+    pub(crate) fn jumps(&self) -> (usize, f64) {
+        let step = |w: &[Pose]| ((w[1].position_m - w[0].position_m).norm(), w[1].t_s - w[0].t_s);
+        let is_jump = |(moved_m, took_s): &(f64, f64)| *moved_m > JUMP_M.max(JUMP_M_PER_S * took_s);
+        let jumps = self.poses.windows(2).map(step).filter(is_jump);
+        jumps.fold((0, 0.0), |(count, furthest_m), (moved_m, _)| (count + 1, moved_m.max(furthest_m)))
+    }
+
+    /// Largest step back of the times as they were given, seconds.
+    pub(crate) fn back_s(&self) -> f64 {
+        self.left_out.back_s
+    }
+
+    /// Gaps before and after which the robot drives at its usual speed, and in which it gets nowhere: its clock was set on.
+    pub(crate) fn set_on(&self) -> Vec<Gap> {
+        let mut gaps = self.gaps();
+        if gaps.is_empty() {
+            return gaps;
+        }
+        let usual_m_per_s = self.motion().floor_m_per_s / STILL_SHARE;
+        let speed = |from: &Pose, to: &Pose| (to.position_m - from.position_m).norm() / (to.t_s - from.t_s);
+        let drives_on = |gap: &Gap| {
+            let next = self.poses.partition_point(|pose| pose.t_s <= gap.from_s);
+            let begin = self.poses.partition_point(|pose| pose.t_s < gap.from_s - 2.0 * SPEED_HALF_S);
+            let end = self.poses.partition_point(|pose| pose.t_s <= gap.to_s + 2.0 * SPEED_HALF_S).max(next + 2);
+            let before = begin.min(next.checked_sub(2)?);
+            let before_m_per_s = speed(self.poses.get(before)?, self.poses.get(next - 1)?);
+            let slower = before_m_per_s.min(speed(self.poses.get(next)?, self.poses.get(end - 1)?));
+            Some(2.0 * slower > usual_m_per_s && gap.moved_m < NO_WAY * slower * (gap.to_s - gap.from_s))
+        };
+        gaps.retain(|gap| drives_on(gap).unwrap_or(false));
+        gaps
     }
 
     /// The pose at `t_s`, linear in position and along the shorter arc in heading. `None` outside the trajectory and
@@ -776,16 +821,17 @@ mod tests {
 
     #[test]
     fn poses_that_overtook_each_other_are_put_in_order() {
+        let in_order = |poses: Vec<Pose>| Trajectory::new(poses).unwrap().poses().to_vec();
         let mut poses = drive();
         (10..900).step_by(7).for_each(|k| poses.swap(k, k + 3));
-        assert_eq!(Trajectory::new(poses).unwrap(), Trajectory::new(drive()).unwrap());
+        assert_eq!(in_order(poses), drive());
         // In whatever order all of them are.
         let mut shuffled = drive();
         (1..1_000).for_each(|k| shuffled.swap(k, k * 7_919 % (k + 1)));
         assert!(!is_in_order(&shuffled));
-        assert_eq!(Trajectory::new(shuffled).unwrap(), Trajectory::new(drive()).unwrap());
+        assert_eq!(in_order(shuffled), drive());
         let backwards = drive().into_iter().rev().collect();
-        assert_eq!(Trajectory::new(backwards).unwrap(), Trajectory::new(drive()).unwrap());
+        assert_eq!(in_order(backwards), drive());
     }
 
     #[test]

@@ -318,14 +318,27 @@ pub(crate) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Res
     let mut magic = [0; MAGIC.len()];
     from.read_exact(&mut magic).map_err(io)?;
     let mut reading = Reading { path, state: described(path).unwrap_or_default(), ended: Ended::default(), used };
+    let mut has_data = true;
     loop {
         match next_record(&mut from, LARGEST) {
-            // The end of the data: the summary repeats it.
-            Ok(Some((kind::DATA_END | kind::FOOTER, _))) => return Ok(reading.ended),
+            // The summary behind it repeats the data.
+            Ok(Some((kind::DATA_END, _))) => has_data = false,
+            Ok(Some((kind::FOOTER, _))) => {
+                let mut marks = Vec::new();
+                from.by_ref().take(2 * MAGIC.len() as u64).read_to_end(&mut marks).map_err(io)?;
+                match marks.strip_prefix(MAGIC) {
+                    // Another file was put behind.
+                    Some(next) if next == MAGIC => (reading.state, has_data) = (State::default(), true),
+                    Some([_, ..]) => {
+                        return Ok(Ended { damaged_parts: reading.ended.damaged_parts + 1, ..reading.ended });
+                    }
+                    _ => return Ok(reading.ended),
+                }
+            }
             Ok(Some((kind::CHUNK, content))) => reading.chunk(&content)?,
             Ok(Some((kind, content))) => reading.record(kind, &content)?,
             Err(error) if error.kind() != ErrorKind::UnexpectedEof => return Err(io(error)),
-            Ok(None) | Err(_) => return Ok(Ended { cut: true, ..reading.ended }),
+            Ok(None) | Err(_) => return Ok(Ended { cut: has_data, ..reading.ended }),
         }
     }
 }

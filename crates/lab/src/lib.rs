@@ -20,7 +20,6 @@ pub mod cards;
 pub mod compare;
 pub mod course;
 pub mod curves;
-pub mod ends;
 pub mod evaluate;
 pub mod export;
 pub mod kinds;

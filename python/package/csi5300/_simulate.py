@@ -48,7 +48,8 @@ class Robot:
 class Room:
     """A simulated scene: its robots, in the scene's order."""
 
-    channel: int
+    channel: int | str
+    """As :func:`csi5300.bearings` takes it: ``108``, or the centre of a wider one, ``"5510MHz"``."""
     robots: list[Robot]
     initiators: list[str]
     """Names of the initiators; the others answered."""
@@ -117,4 +118,4 @@ def simulate(
     number = None if seed is None else _options.whole("seed", seed, 0, 2**64 - 1)
     channel, initiators, made = _native.simulate(text, is_json, number, layout)
     robots = [Robot(r["name"], r["mac"], r["log"], r["path"], r["injected"]) for r in made]
-    return Room(channel, robots, [robots[number].name for number in initiators])
+    return Room(int(channel) if channel.isdigit() else channel, robots, [robots[number].name for number in initiators])

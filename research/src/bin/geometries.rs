@@ -2,9 +2,12 @@
 //! `cargo run --release --bin geometries [helix | near | shapes | both | wide]`.
 
 use csi5300::pipeline::Options;
-use csi5300_lab::ends::{Ends, Seen};
 use csi5300_sim::motion::{Arc, Circle, Helix, Line, RandomWalk, RobotMotion, Square, Waypoints};
+use ends::{Ends, Seen};
 use rayon::prelude::*;
+
+#[path = "../../../crates/lab/tests/lab/ends.rs"]
+mod ends;
 
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).collect();

@@ -76,17 +76,23 @@ impl CsvCounts {
                 trajectory.turn_in_step_rad().to_degrees()
             ));
         }
+        if let (count @ 1.., furthest_m) = trajectory.jumps() {
+            notes.push(format!(
+                "the robot jumps from one pose to the next, {count} times, by up to {furthest_m:.2} m (another robot's poses, or a sensor \
+                 that began anew?)"
+            ));
+        }
         if left_out.stale > 0 {
             notes.push(format!("the first {} poses are from before the run and skipped", left_out.stale));
         }
         notes
     }
 
-    /// True if rows with poses were skipped: results then use less than was given.
+    /// True if rows with poses were skipped, or are no path of one robot.
     #[must_use]
     pub fn lost_something(&self, trajectory: &Trajectory) -> bool {
         let left_out = trajectory.left_out();
-        self.bad_rows > 0 || left_out.same_time > 0 || left_out.set_back.is_some()
+        self.bad_rows > 0 || left_out.same_time > 0 || left_out.set_back.is_some() || trajectory.jumps().0 > 0
     }
 }
 
@@ -187,6 +193,8 @@ const LONGEST: u64 = 512 << 20;
 const MOST_POSES: usize = 10_000_000;
 /// Limit of a row, bytes; the rest is skipped, so that a file without lines takes no memory.
 const LONGEST_ROW: usize = 64 << 10;
+/// More jumps than this, and than a tenth of the poses, are to and fro between two robots.
+const FEW_JUMPS: usize = 10;
 /// Lines above the first row that are kept to find headings in.
 const HEAD: usize = 32;
 
@@ -983,7 +991,16 @@ impl Rows {
             let level = self.poses.iter().all(|pose| pose.position_m.z == self.poses[0].position_m.z);
             kind = if level { TrajectoryKind::Wheels } else { TrajectoryKind::Camera };
         }
-        Ok((Trajectory::new(self.poses)?.with_kind(kind).with_attitudes(self.attitudes), self.counts))
+        let trajectory = Trajectory::new(self.poses)?.with_kind(kind).with_attitudes(self.attitudes);
+        match trajectory.jumps() {
+            (count, furthest_m) if count > (trajectory.poses().len() / 10).max(FEW_JUMPS) => {
+                Err(CsvError::Refused(format!(
+                    "the robot jumps to and fro, {count} times, by up to {furthest_m:.2} m: poses of two robots? Write each robot's into a \
+                 file of its own"
+                )))
+            }
+            _ => Ok((trajectory, self.counts)),
+        }
     }
 }
 
@@ -1244,6 +1261,25 @@ mod tests {
             lost && words.starts_with("time goes back by 29.000 s") && words.contains(" 40 rows skipped"),
             "{words}"
         );
+    }
+
+    #[test]
+    fn a_path_that_jumps_is_doubtful_and_one_to_and_fro_is_two() {
+        let row = |(k, x_m): (u32, f64)| format!("{},0,{x_m},0,0\n", f64::from(k) * 0.01);
+        let path = |x_m: &dyn Fn(u32) -> f64| (0..200).map(|k| row((k, x_m(k)))).collect::<String>();
+        let drives = |k: u32| f64::from(k) * 0.02;
+        let said = |text: &str| {
+            parse(text.as_bytes()).map(|(path, counts)| (counts.notes(&path).join("; "), counts.lost_something(&path)))
+        };
+        assert_eq!(said(&path(&drives)).unwrap(), (String::new(), false));
+        let (words, lost) = said(&path(&|k| drives(k) + if k < 100 { 0.0 } else { 0.6 })).unwrap();
+        assert!(
+            lost && words.starts_with("the robot jumps from one pose to the next, 1 times, by up to 0.62 m"),
+            "{words}"
+        );
+        // Other times for every second row: none of them is another's.
+        let error = said(&path(&|k| drives(k) + if k % 2 == 0 { 0.0 } else { 3.0 })).unwrap_err().to_string();
+        assert!(error.contains("to and fro, 199 times, by up to 3.02 m: poses of two robots?"), "{error}");
     }
 
     #[test]

@@ -191,6 +191,29 @@ fn a_cut_recording_is_read_up_to_the_cut_and_other_files_are_refused() {
 }
 
 #[test]
+fn of_files_put_one_behind_the_other_each_is_read() {
+    let first = mcap(|writer| {
+        put_all(writer, 1..=3, 1..=2);
+        writer.finish().unwrap();
+    });
+    // Its first topic has the number that another one has in the first file.
+    let second = mcap(|writer| {
+        (3..=7).for_each(|k| put(writer, "/odom", &odometry(k)));
+        writer.finish().unwrap();
+    });
+    let counted = |bytes: &[u8]| {
+        let done = read_of("both", bytes).unwrap();
+        let counts = done.topics.iter().map(|topic| (topic.topic.clone(), topic.messages)).collect::<Vec<_>>();
+        (counts, done.damaged_parts, done.cut.len())
+    };
+    let all = |csi, odom| vec![("/n/csi".to_owned(), csi), ("/odom".to_owned(), odom)];
+    assert_eq!(counted(&[first.clone(), second.clone()].concat()), (all(3, 7), 0, 0));
+    assert_eq!(counted(&[&first[..], &second[..second.len() / 2]].concat()).2, 1, "the second is cut");
+    assert_eq!(counted(&[&first[..], b"else"].concat()), (all(3, 2), 1, 0));
+    assert_eq!(counted(&first[..first.len() - 4]), (all(3, 2), 0, 0));
+}
+
+#[test]
 fn topics_with_equal_or_empty_plain_names_get_separate_files() {
     let own = recorded(|writer| {
         for topic in ["/a/b", "/a_b", "", "/", "a/b"] {

@@ -119,7 +119,7 @@ struct Logs {
     trajectory: Option<PathBuf>,
     /// Columns of trajectories, instead of their headings: t,x,y,yaw (also ns, z, qx, qy, qz, qw; t_ms, x_mm, yaw_deg
     /// ..; _ skips a column)
-    #[arg(long, value_name = "NAMES", hide_short_help = true)]
+    #[arg(long, value_name = "NAMES", allow_hyphen_values = true, hide_short_help = true)]
     columns: Option<Columns>,
     #[command(flatten)]
     bag: BagArgs,
@@ -290,7 +290,11 @@ pub fn run(mut args: Args) -> Result {
         explain_lines(links);
     }
     say_losses(&args, &rx, &report, &receiver, &logs);
+    let mut all = std::iter::once(&trajectory).chain(&partners);
+    let parted = all.find_map(|path| report.receiver.survey.clocks_part(path, &options));
+    parted.iter().for_each(|words| note!("{}: {words}", rx.display()));
     let lost = answered < report.links.len() || !unread.is_empty() || lost_something(&report) || inputs.lost();
+    let lost = lost || parted.is_some();
     Ok(Outcome::of(answered > 0, lost))
 }
 
@@ -518,12 +522,14 @@ impl Alone {
         let report = one_log(&mut log, trajectory, array, options).in_words()?;
         let (survey, unused) = (&report.log.survey, report.log.unused);
         let losses = info::unusual_losses(survey, log.bytes());
-        let has_notes = unused.no_antenna > 0 || !losses.is_empty();
+        let parted = survey.clocks_part(trajectory, options);
+        let has_notes = unused.no_antenna > 0 || !losses.is_empty() || parted.is_some();
         let notes = has_notes.then(|| {
             let (bfees, lacking) = (survey.bfees(), unused.no_antenna);
-            format!("{}: {bfees} bfee records, {lacking} lack an antenna\n{losses}", rx.display())
+            let parted = parted.iter().map(|words| format!("  {words}\n")).collect::<String>();
+            format!("{}: {bfees} bfee records, {lacking} lack an antenna\n{losses}{parted}", rx.display())
         });
-        Ok(Self { lost: survey.lost_something(), notes, report })
+        Ok(Self { lost: survey.lost_something() || parted.is_some(), notes, report })
     }
 }
 

@@ -221,9 +221,11 @@ fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
     text += "sure: probability that the azimuth is within 5 degrees\n";
     let _ = writeln!(text, "\nabsolute error, degrees: mean / median / 90th percentile / share over 20 degrees");
     for (set, s) in all_last(summary) {
+        let without = s.links - s.failed - s.from_mean_pose.links;
+        let without = if without > 0 { format!(", {without} without a truth") } else { String::new() };
         let _ = writeln!(
             text,
-            "{set}: {}, {} failed; from the mean pose {}; from the start {}",
+            "{set}: {}, {} failed{without}; from the mean pose {}; from the start {}",
             super::some(s.links as u64, "link", "links"),
             s.failed,
             line(&s.from_mean_pose),

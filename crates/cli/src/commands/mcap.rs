@@ -7,7 +7,7 @@ use csi5300::bartlett::{self, Grid};
 use csi5300::internal::{FrameHeard, Front};
 use csi5300::motion::odometry::csv::Columns;
 use csi5300::motion::pose::{Pose, Trajectory};
-use csi5300::pipeline::{Bearing, Options, Transmitter, bearings};
+use csi5300::pipeline::{Bearing, JoinBy, Options, Transmitter, bearings, lost_something};
 use csi5300::signal::channel::{Channel, SUBCARRIERS};
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
@@ -36,7 +36,7 @@ pub struct Args {
     trajectory: Option<PathBuf>,
     /// Columns of trajectories, instead of their headings: t,x,y,yaw (also ns, z, qx, qy, qz, qw; t_ms, x_mm, yaw_deg
     /// ..; _ skips a column)
-    #[arg(long, value_name = "NAMES", requires = "trajectory")]
+    #[arg(long, value_name = "NAMES", allow_hyphen_values = true, requires = "trajectory")]
     columns: Option<Columns>,
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_name = "NUMBER", requires = "trajectory")]
@@ -90,8 +90,10 @@ pub fn run(args: &Args) -> Result {
     let mut recording = Recording::create(draft.path()).map_err(failed)?;
     let (mut written, mut lost) = (0, false);
     let mut row = Row { output: &args.out, logs: Vec::new(), bearings: Vec::new() };
-    for (name, path) in names.iter().zip(&args.logs) {
-        let (survey, bytes, records) = convert(&mut recording, name, path, args)?;
+    // The receiver's records and its poses have one clock.
+    let offsets_s = std::iter::once(args.estimation.clock_offset.0).chain(std::iter::repeat(0.0));
+    for ((name, path), offset_s) in names.iter().zip(&args.logs).zip(offsets_s) {
+        let (survey, bytes, records) = convert(&mut recording, (name, path, offset_s), args)?;
         written += records;
         row.logs.push(LogRow { log: path, records });
         lost |= survey.lost_something();
@@ -105,7 +107,11 @@ pub fn run(args: &Args) -> Result {
         trajectory.poses().iter().try_for_each(|pose| recording.pose(pose)).map_err(failed)?;
         recording.path(trajectory.span_s().0, trajectory.poses()).map_err(failed)?;
         match &options {
-            Some(options) => row.bearings = estimate(&mut recording, &names, trajectory, options, args)?,
+            Some(options) => {
+                let (bearings, has_doubts) = estimate(&mut recording, &names, trajectory, options, args)?;
+                row.bearings = bearings;
+                lost |= has_doubts;
+            }
             None if args.logs.len() > 1 => note!("no bearings: they need --channel"),
             None => {}
         }
@@ -117,7 +123,6 @@ pub fn run(args: &Args) -> Result {
     } else {
         note!("nothing to write: no {}", args.out.display());
     }
-    lost |= row.bearings.iter().any(|link| link.error.is_some());
     if args.json {
         super::print_json(&row);
     }
@@ -138,6 +143,10 @@ impl Args {
         if self.channel.is_none() && of_bearings.iter().any(|given| given.is_some()) {
             usage("options of bearings, such as --from, need --trajectory and --channel; all records are written");
         }
+        let (offset_s, join) = self.estimation.clock_offset;
+        if self.trajectory.is_none() && offset_s != 0.0 || self.channel.is_none() && join == JoinBy::Row {
+            usage("--clock-offset needs --trajectory, and as `rows` --channel");
+        }
     }
 }
 
@@ -146,8 +155,13 @@ fn failed(args: &Args, error: &io::Error) -> String {
     format!("cannot write {}: {error}", args.out.display())
 }
 
-/// Every record of a log, and how many were written. Those without a host time get the card's, from the log's beginning on.
-fn convert(recording: &mut Recording, name: &str, path: &Path, args: &Args) -> Words<(Survey, u64, u64)> {
+/// Every record of a log, and how many were written. `offset_s` is added to host times; records without one get the card's, from
+/// the log's beginning on.
+fn convert(
+    recording: &mut Recording,
+    (name, path, offset_s): (&str, &Path, f64),
+    args: &Args,
+) -> Words<(Survey, u64, u64)> {
     let failed = |error: io::Error| failed(args, &error);
     let (mut records, mut end_s) = (0, 0.0);
     let mut log = super::open_log(path)?;
@@ -159,7 +173,7 @@ fn convert(recording: &mut Recording, name: &str, path: &Path, args: &Args) -> W
             // It wraps every 71.6 minutes.
             let card_us = clock.next(heard.timestamp_low);
             let since_us = card_us - *first_card_us.get_or_insert(card_us);
-            end_s = heard.host_us.unwrap_or(since_us) as f64 * 1e-6;
+            end_s = heard.host_us.map_or(since_us as f64 * 1e-6, |us| us as f64 * 1e-6 + offset_s);
             recording.record(name, end_s, sender, &heard).map_err(failed)?;
             records += 1;
         }
@@ -171,17 +185,17 @@ fn convert(recording: &mut Recording, name: &str, path: &Path, args: &Args) -> W
     Ok((front.log.survey, log.bytes(), records))
 }
 
-/// The bearings of the first log to the others.
+/// The bearings of the first log to the others, and whether something was lost or is doubtful, as of `bearing`.
 fn estimate(
     recording: &mut Recording,
     names: &[String],
     trajectory: &Trajectory,
     options: &Options,
     args: &Args,
-) -> Words<Vec<LinkRow>> {
+) -> Words<(Vec<LinkRow>, bool)> {
     let text = |error: csi5300::source::Error| super::hint::log_refused(&error);
-    let Some((receiver, others)) = args.logs.split_first() else { return Ok(Vec::new()) };
-    let mut receiver = super::open_log(receiver)?;
+    let Some((rx, others)) = args.logs.split_first() else { return Ok((Vec::new(), false)) };
+    let mut receiver = super::open_log(rx)?;
     let mut logs = others.iter().map(|path| super::open_log(path)).collect::<std::result::Result<Vec<_>, _>>()?;
     let transmitters =
         logs.iter_mut().map(|log| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: None }).collect();
@@ -208,7 +222,9 @@ fn estimate(
             }
         }
     }
-    Ok(rows)
+    let parted = report.receiver.survey.clocks_part(trajectory, options);
+    parted.iter().for_each(|words| note!("{}: {words}", rx.display()));
+    Ok((rows, parted.is_some() || lost_something(&report)))
 }
 
 /// Directions of a profile.

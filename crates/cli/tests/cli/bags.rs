@@ -165,6 +165,15 @@ fn a_recording_for_viewers_says_the_mirror_and_its_bearings_are_no_odometry() {
     let bearing = &crate::commands::json(out.trim())["bearings"][0];
     assert!(bearing["mirror_deg"].is_f64() && bearing["azimuth_sd_deg"].is_f64(), "{out}");
     folder.says(&["bearing", "--bag", "o.mcap", "--rx", &rx, "--tx", &tx, "--channel", "108"], 0, &[]);
+    // The receiver's records are at the times of its poses, whatever its host's clock says.
+    let poses = std::fs::read_to_string(folder.0.join(&path)).unwrap().replace("17000000", "17000001");
+    folder.write("later.csv", poses.as_bytes());
+    let made = ["mcap", &rx, "--trajectory", "later.csv", "--clock-offset", "100", "--out", "o.mcap", "--force"];
+    folder.says(&made, 0, &[]);
+    let times = std::fs::read(folder.0.join("o.mcap")).unwrap();
+    let holds = |second: u32| times.windows(4).any(|bytes| bytes == second.to_le_bytes());
+    assert!(holds(1_700_000_103) && !holds(1_700_000_003));
+    folder.says(&["mcap", &rx, "--clock-offset", "100", "--out", "x.mcap"], 2, &["--clock-offset needs --trajectory"]);
 }
 
 /// A log's recording for viewers has each of its records; what has none makes no file.

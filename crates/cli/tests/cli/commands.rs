@@ -445,6 +445,11 @@ fn an_evaluation_reports_bad_captures_and_goes_on() {
     assert_eq!(units, ["deg", "deg", "deg", "deg", "deg", "%"], "{text}");
     assert!(rows[0]["error_from_mean_pose_deg"].as_f64().unwrap().abs() < 0.3, "{rows:?}");
     assert_eq!(rows[1]["summary"]["A"]["links"], 1);
+    // A truth with the places of others.
+    capture(&folder, "named/A", &made);
+    folder.write("named/A/groundtruth_positions.json", br#"{"channel": {"value": 108}}"#);
+    let (_, text, _) = folder.run(&["evaluate", "named"]);
+    assert!(text.contains("\nall: 1 link, 0 failed, 1 without a truth; from the mean pose -;"), "{text}");
     // A damaged record, a missing receiver's log, no truth to read.
     let mut damaged = link(400, 2.0);
     damaged.rx[50].remove(9);
@@ -501,8 +506,8 @@ fn the_suite_writes_a_row_for_each_repetition() {
     let rows = std::fs::read_to_string(folder.0.join("rows.csv")).unwrap();
     assert_eq!(rows.lines().count(), 4, "{rows}");
     let page = std::fs::read_to_string(crate::common::root().join("docs/reference/formats.md")).unwrap();
-    let table = page.split("## Tables: `simulate suite --out`").nth(1).unwrap().split("\n## ").next().unwrap();
-    let described = table.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next());
+    let table = page.split("## Tables: `simulate suite --out`").nth(1).unwrap().split("Fields without").next().unwrap();
+    let described = table.split('`').skip(1).step_by(2);
     let columns: Vec<&str> = rows.lines().next().unwrap().split(',').collect();
     assert_eq!(described.collect::<Vec<_>>(), columns);
     assert!(rows.lines().skip(1).all(|row| row.starts_with("circle 10 cm,")), "{rows}");
@@ -731,7 +736,11 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
     let receiver = |out: &str| json(out.lines().nth(1).unwrap_or_else(|| panic!("{out}")));
     let (status, _, err) = place("tx7=1,2");
     assert!(status == 2 && err.contains("--place tx7=...: no transmitter has this name; there are tx"), "{err}");
-    assert_eq!(receiver(&place("tx=-416,909").1)["links"], 1);
+    let told = place("tx=-416,909").1;
+    assert_eq!(receiver(&told)["links"], 1);
+    // The place is the link's truth, too.
+    let error = json(told.lines().next().unwrap())["error_from_mean_pose_deg"].as_f64();
+    assert!(error.is_some_and(|deg| deg.abs() < 0.3), "{told}");
     assert_eq!(place("tx=1e7,2").0, 2);
     let twice = ["bearing", "runs", "--channel", "108", "--place", "tx=1,2", "--place", "tx=3,4"];
     folder.says(&twice, 2, &["--place tx=... is given twice"]);
@@ -906,6 +915,11 @@ fn columns_that_may_mean_two_things_are_asked_for() {
     let azimuth = |out: &str| json(out.trim())["azimuth_deg"].as_f64().unwrap();
     let (_, named, err) = folder.bearing(&["--json", "--columns", "t,x,y,yaw"]);
     assert!((azimuth(&named) - azimuth(&plain)).abs() < 1e-6, "{err}");
+    // A minus before the first name is no option.
+    let negative = |row: &Vec<&str>| format!("{},{},{}\n", -row[2].parse::<f64>().unwrap(), row[0], row[3]);
+    folder.write("t.csv", rows.iter().map(negative).collect::<String>().as_bytes());
+    let (_, turned, err) = folder.bearing(&["--json", "--columns", "-x,t,y"]);
+    assert!((azimuth(&turned) - azimuth(&plain)).abs() < 1e-6, "{err}");
     folder.write("t.csv", format!("time [s],pos_x,pos_y,yaw\n{four}").as_bytes());
     let (_, headed, err) = folder.bearing(&["--json"]);
     assert!((azimuth(&headed) - azimuth(&plain)).abs() < 1e-6, "{err}");

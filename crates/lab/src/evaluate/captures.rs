@@ -88,6 +88,9 @@ pub struct Capture {
     pub loose: Option<Box<Loose>>,
     /// Transmitters: name (`tx2`) and log.
     pub transmitters: Vec<(String, PathBuf)>,
+    /// Places of transmitters by name, metres, in the frame of motion capture, or without it of the trajectory that is used; they
+    /// replace those of the truth.
+    pub told: BTreeMap<String, [f64; 2]>,
     /// The receiver's antenna relative to the point that the tracking camera or the wheels track: metres forward, left, up. If
     /// `None`, those trajectories are taken as the antenna's. Motion capture tracks the antenna itself.
     pub antenna_offset_m: Option<[f64; 3]>,

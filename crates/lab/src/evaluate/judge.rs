@@ -48,7 +48,7 @@ pub struct Judged {
     pub position_error_m: Option<f64>,
     /// The same in deviations of the reported ellipse: 68 % of true places are within 1.52, 95 % within 2.48.
     pub position_error_sd: Option<f64>,
-    /// Mean pose of the used pairs, metres, from motion capture.
+    /// Mean pose of the used pairs, metres, from motion capture; of a told place without it, from the trajectory used.
     pub true_receiver_m: Option<[f64; 2]>,
 }
 
@@ -154,6 +154,10 @@ impl Capture {
         let fit = report.links.iter().find_map(|link| link.bearing.as_ref().ok()?.odometry_fit.as_ref());
         let fit = fit.filter(|fit| fit.refused.is_none());
         let heading_sd_rad = fit.map_or(heading_sd_rad, |fit| fit.heading_sd_rad(heading_sd_rad));
+        let rx_path = self.receiver_log();
+        let mut all = std::iter::once(&trajectory).chain(moved.iter().flatten());
+        let parted = all.find_map(|path| report.receiver.survey.clocks_part(path, &options));
+        notes.extend(parted.map(|words| format!("{}: {words}", rx_path.display())));
         let paths = match source {
             TrajectorySource::GroundTruth => moved,
             _ => self.moved(TrajectorySource::GroundTruth, &mut Vec::new())?,
@@ -163,15 +167,14 @@ impl Capture {
                 look(&self.link_name(name), bearing, &options);
             }
         }
-        let start = reference.as_ref().and_then(|reference| {
-            let at_s = reference.motion().window_s.map_or(reference.span_s().0, |(from, _)| from);
-            reference.at(at_s)
-        });
         let judged = |((name, path), link): ((&str, &Option<Trajectory>), &LinkReport)| {
             let answer = Answer::new(self.link_name(name), link);
             let times_s = link.bearing.as_ref().map(|bearing| bearing.samples.t_s()).unwrap_or_default();
-            let transmitter = TruePlace { still_m: truth.place(name), path: path.as_ref() };
-            let judged = judge(answer, &transmitter, (start, reference.as_ref()), times_s);
+            let told = self.told.get(name).map(|place_m| Vector2::from(*place_m));
+            let path = path.as_ref().filter(|_| told.is_none());
+            let reference = reference.as_ref().or(told.and(Some(&trajectory)));
+            let judged =
+                judge(answer, &TruePlace { still_m: told.or_else(|| truth.place(name)), path }, reference, times_s);
             Judged { heading_sd_rad: Some(heading_sd_rad), ..judged }
         };
         let names = self.transmitters.iter().map(|(name, _)| name.as_str());
@@ -181,9 +184,8 @@ impl Capture {
                 row.answer = Answer::failed(row.answer.link.clone(), error.to_string());
             }
         }
-        let rx_path = self.receiver_log();
         let paths = std::iter::once(&rx_path).chain(self.transmitters.iter().map(|(_, path)| path));
-        // Up to here these are losses of trajectories.
+        // Up to here these are losses of trajectories, or doubts about them.
         let rows_lost = !notes.is_empty();
         let surveys = std::iter::once(&report.receiver).chain(&report.transmitters).map(|log| &log.survey);
         notes.extend(paths.zip(surveys).filter_map(|(path, survey)| loss_note(path, survey)));
@@ -271,13 +273,9 @@ impl TruePlace<'_> {
     }
 }
 
-/// `start` is the reference's first pose in motion. The origin of its frame may differ from that of the bearing's.
-fn judge(
-    answer: Answer,
-    transmitter: &TruePlace<'_>,
-    (start, reference): (Option<Pose>, Option<&Trajectory>),
-    times_s: &[f64],
-) -> Judged {
+/// The origin of the reference's frame may differ from that of the bearing's.
+fn judge(answer: Answer, transmitter: &TruePlace<'_>, reference: Option<&Trajectory>, times_s: &[f64]) -> Judged {
+    let start = reference.and_then(|path| path.at(path.motion().window_s.map_or(path.span_s().0, |(from, _)| from)));
     let position = transmitter.mean(times_s);
     let bearing_from =
         |from: Vector3<f64>, to: Option<Vector2<f64>>| to.map(|p| (p.y - from.y).atan2(p.x - from.x).to_degrees());

@@ -4,8 +4,8 @@ use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Accuracy, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::figures::true_path;
+use csi5300_lab::curves;
 use csi5300_lab::suite::{Run, experiments, run, run_all};
-use csi5300_lab::{curves, ends};
 use csi5300_sim::Room;
 use csi5300_sim::motion::{Arc, Circle, RobotMotion};
 use csi5300_sim::radio::{Gain, Noise};
@@ -202,7 +202,8 @@ fn near_errors_follow_the_bound_with_range_and_height_unknown() {
         let points: Vec<Vector3<f64>> = (0..pairs).map(at).collect();
         let middle = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
         let points: Vec<Vector3<f64>> = points.iter().map(|p| p - middle).collect();
-        let [bound, _] = ends::bound_deg(&points, &(Vector3::from(place_m) - middle), WAVELENGTH_M, phase_rad(snr_db));
+        let [bound, _] =
+            crate::ends::bound_deg(&points, &(Vector3::from(place_m) - middle), WAVELENGTH_M, phase_rad(snr_db));
         println!("{angle_deg} degrees, {snr_db} dB: sd {sd:.5}, bound {bound:.5}, mean {mean:.5} deg");
         squares += (sd / bound).powi(2) / cases.len() as f64;
         // The robot's movement in the quarter of a millisecond that the host stamps late.

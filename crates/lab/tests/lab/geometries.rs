@@ -1,8 +1,8 @@
 //! Motion in space and motion of both ends, in free space: a part of what `research`'s `geometries` runs.
 
+use crate::ends::{Ends, Seen};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Accuracy, Bearing, Effort, Options, WaveModel};
-use csi5300_lab::ends::{Ends, Seen};
 use csi5300_lab::evaluate::{TrajectorySource, find};
 use csi5300_sim::motion::{Arc, Circle, Helix, Line, RobotMotion, Waypoints};
 use csi5300_sim::{Room, write_dataset};

@@ -6,5 +6,6 @@ mod common;
 
 mod accuracy;
 mod captures;
+mod ends;
 mod faults;
 mod geometries;

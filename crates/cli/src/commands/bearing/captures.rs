@@ -134,11 +134,13 @@ fn is_wanted(name: &str, wanted: Option<&str>) -> bool {
 pub fn run(args: &Args) -> Result {
     let reading = args.reading();
     let options = args.asked(reading.options.clone());
-    let (captures, names, mut lost) = args.find(&reading)?;
+    let (mut captures, names, mut lost) = args.find(&reading)?;
     args.check_places(&captures);
+    let told: BTreeMap<String, [f64; 2]> = args.place.iter().map(|(name, (place, _))| (name.clone(), *place)).collect();
     if args.together.transmitters {
-        return locate_transmitters(&args.together, &reading, (captures, &names, lost), &args.place, args.json);
+        return locate_transmitters(&args.together, &reading, (captures, &names, lost), &told, args.json);
     }
+    captures.iter_mut().for_each(|capture| capture.told.clone_from(&told));
     args.graph.check(&captures, !args.place.is_empty(), args.force)?;
     let ranges = args.graph.ranges(&captures, &reading)?;
     let (mut rows, mut shown) = (Vec::new(), 0);
@@ -200,7 +202,6 @@ fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>, links: usize) {
 fn locate(args: &Args, rows: &mut [Judged], ranges: &BTreeMap<String, Vec<Ranged>>) -> Words<Located> {
     for row in rows.iter_mut() {
         let own = args.place.iter().find(|(name, _)| row.transmitter() == name);
-        row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
         row.transmitter_z_m = own.and_then(|(_, (_, height))| *height);
     }
     // A given place is that of a transmitter in all captures, so those of one name stand.
@@ -602,7 +603,7 @@ fn locate_transmitters(
     together: &Together,
     reading: &Reading,
     (captures, names, mut lost): (Vec<Capture>, &[String], bool),
-    told: &[(String, Place)],
+    told: &BTreeMap<String, [f64; 2]>,
     json: bool,
 ) -> Result {
     together.must_be_of(&captures);
@@ -617,8 +618,7 @@ fn locate_transmitters(
             links.push((row, together.frame(capture)));
         }
     }
-    let told: BTreeMap<String, [f64; 2]> = told.iter().map(|(name, (place, _))| (name.clone(), *place)).collect();
-    let found = located(&links, reading.source, &told);
+    let found = located(&links, reading.source, told);
     if json {
         found.iter().for_each(print_json);
     } else {
@@ -712,11 +712,8 @@ mod tests {
         let capture = Capture {
             place: "a/b".into(),
             stamp: "t".into(),
-            folder: PathBuf::new(),
-            loose: None,
             transmitters: vec![("tx2".into(), PathBuf::new()), ("tx12".into(), PathBuf::new())],
-            antenna_offset_m: None,
-            camera: None,
+            ..Capture::default()
         };
         let of = |from: &str, to: &str| {
             let range = Range { time_s: 0.0, from: from.into(), to: to.into(), range_m: 1.0, sd_m: 0.1 };

@@ -1,11 +1,12 @@
-//! One simulated link whose ends may both move, compared with its truth and the Cramer-Rao bound.
+//! One simulated link whose ends may both move, compared with its truth and the Cramer-Rao bound: for these tests, a bench and
+//! `research`.
+#![allow(dead_code)] // each uses a part
 
-use crate::Failure;
-use crate::compare::figures::true_path;
-use crate::compare::{NO_TRANSMITTER, ONE_ROBOT};
 use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Bearing, Options, Transmitter, bearings};
+use csi5300_lab::Failure;
+use csi5300_lab::compare::figures::true_path;
 use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::radio::{Noise, Radio};
 use csi5300_sim::scene::{Robot, Scene, Sounding, Wall};
@@ -146,12 +147,14 @@ impl Recording {
     /// # Errors
     /// If it has none.
     pub fn bearing(&self, options: &Options) -> Result<Bearing, Failure> {
-        let [receiver, transmitter] = self.simulation.robots.as_slice() else { return Err(ONE_ROBOT.into()) };
+        let [receiver, transmitter] = self.simulation.robots.as_slice() else {
+            return Err("a scene of one robot has no link to measure".into());
+        };
         let (mut rx, mut tx) = (receiver.replay(), transmitter.replay());
         let transmitters = vec![Transmitter { log: &mut tx, trajectory: self.displaced.as_ref() }];
         let options = Options { clock_offset_s: -LATE_S, ..options.clone() };
         let mut report = bearings(&mut rx, transmitters, &self.reported, &options)?;
-        let link = report.links.pop().ok_or(NO_TRANSMITTER)?;
+        let link = report.links.pop().ok_or("no transmitter's log")?;
         link.bearing.map_err(|error| error.to_string().into())
     }
 
