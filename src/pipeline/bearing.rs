@@ -351,8 +351,8 @@ pub struct PairCounts {
     pub standing: usize,
     /// Outside the trajectory, or in a gap of it.
     pub no_pose: usize,
-    /// Pairs outside the trajectory by the host times of the transmitter's log: far fewer if the two logs were
-    /// exchanged. None if that log has no host times.
+    /// Pairs outside the trajectory by the host times of the transmitter's log, and those in its gaps: far fewer if the two
+    /// logs were exchanged. None if that log has no host times.
     pub no_pose_by_transmitter: Option<usize>,
     /// Outside the requested stretch.
     pub cut: usize,

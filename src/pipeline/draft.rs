@@ -94,7 +94,12 @@ fn bearing_in(join: &LinkJoin<'_>, motion: Motion, options: &Options) -> Result<
     let gate = Gate::new(link, (receiver, motion), transmitter, &times_s, options);
     let found = gate.pass(&times_s, &phases.z).and_then(|mut gated| {
         gated.pairs.no_pose_by_transmitter = match options.join {
-            JoinBy::Time => link.outside_by_transmitter(receiver, options),
+            JoinBy::Time => link.outside_by_transmitter(receiver, options).map(|outside| {
+                // Gaps of the trajectory say nothing about the logs.
+                let (start_s, end_s) = receiver.span_s();
+                let outside_by_receiver = times_s.iter().filter(|t_s| !(start_s..=end_s).contains(*t_s)).count();
+                outside + gated.pairs.no_pose.saturating_sub(outside_by_receiver + link.counts_before().no_pose)
+            }),
             JoinBy::Row => None,
         };
         gated.check(&times_s, receiver)?;

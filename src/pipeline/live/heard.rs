@@ -207,7 +207,7 @@ impl HeardLink {
         }
         log.forget_before(self.mac, ((seen_s - settings.window_s) * 1e6) as i64, true);
         let from_s = log.first_us(self.mac).map_or(seen_s, |us| us as f64 * 1e-6);
-        let Some(trajectory) = track.trajectory(settings.extrapolate_s, (from_s, seen_s)) else {
+        let Some(trajectory) = track.trajectory(context.extrapolate_s(), (from_s, seen_s)) else {
             return without(self, PeerState::NotYet, "no poses yet".into(), 0.0);
         };
         let heading_rad = track.last().and_then(|pose| pose.heading_rad);

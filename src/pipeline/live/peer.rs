@@ -95,6 +95,13 @@ pub(super) struct Context<'a> {
     pub(super) why: Why,
 }
 
+impl Context<'_> {
+    /// By how much poses are extrapolated, seconds: at the end none is missing.
+    pub(super) fn extrapolate_s(&self) -> f64 {
+        if self.why == Why::End { 0.0 } else { self.settings.extrapolate_s }
+    }
+}
+
 /// The reason for a report.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Why {
@@ -292,7 +299,7 @@ impl PeerLink {
             return self.without(PeerState::Held, "held: nothing moved since".into(), moved_m, context, seen);
         }
         let span_s = (end_s - settings.window_s - SETTLE_S, end_s + settings.window_s);
-        let Some((receiver, transmitter)) = self.trajectories(track, settings, span_s) else {
+        let Some((receiver, transmitter)) = self.trajectories(track, context.extrapolate_s(), span_s) else {
             return self.without(PeerState::NotYet, "no poses yet".into(), 0.0, context, seen);
         };
         let found = window(&receiver, transmitter.as_ref(), settings.window_m, settings.window_s);
@@ -336,15 +343,15 @@ impl PeerLink {
     fn trajectories(
         &self,
         track: &Track,
-        settings: &LiveSettings,
+        extrapolate_s: f64,
         span_s: (f64, f64),
     ) -> Option<(Trajectory, Option<Trajectory>)> {
-        let receiver = track.trajectory(settings.extrapolate_s, span_s)?;
+        let receiver = track.trajectory(extrapolate_s, span_s)?;
         if self.peer.track.is_still() {
             return Some((receiver, None));
         }
         let ahead_s = self.link.partner_ahead_s()?;
-        let transmitter = self.peer.track.trajectory(settings.extrapolate_s, span_s)?;
+        let transmitter = self.peer.track.trajectory(extrapolate_s, span_s)?;
         Some((receiver, Some(aligned(&transmitter, ahead_s, self.peer.yaw_rad)?)))
     }
 

@@ -2,6 +2,7 @@
 
 use csi5300::exchange::pairing::{LinkSide, SideCounts};
 use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
+use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{CaptureReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
@@ -231,11 +232,24 @@ fn lost_poses_are_gaps_in_the_trajectory() {
     assert_eq!(poses.len() as u64, injected.poses);
     assert_eq!(injected.poses + injected.poses_dropped, 500, "50 a second for 9.995 s");
     assert!(injected.poses_dropped > 100 && injected.poses_late > 20, "{injected:?}");
-    let trajectory = csi5300::motion::pose::Trajectory::new(poses).unwrap();
+    let trajectory = Trajectory::new(poses).unwrap();
     let places = trajectory.poses().windows(2).map(|w| ((w[1].t_s - w[0].t_s) * 50.0).round() as u64 - 1);
     let (first_s, last_s) = trajectory.span_s();
     let edges = (50.0 * (first_s - 1.7e9)).round() as u64 + (499.0 - 50.0 * (last_s - 1.7e9)).round() as u64;
     assert_eq!(places.sum::<u64>() + edges, injected.poses_dropped);
+}
+
+#[test]
+fn a_gap_of_the_trajectory_is_no_sign_of_exchanged_logs() {
+    let mut room = Room::new(&scene(1, "", "")).unwrap();
+    let path = true_path(&room, 0).unwrap();
+    let is_told = |pose: &&Pose| !(1.7e9 + 3.0..1.7e9 + 5.0).contains(&pose.t_s);
+    let path = Trajectory::new(path.poses().iter().filter(is_told).copied().collect()).unwrap();
+    let (mut rx, mut tx) = (room.card(0).unwrap(), room.card(1).unwrap());
+    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
+    let mut report = bearings(&mut rx, transmitters, &path, &options()).unwrap();
+    let pairs = report.links.remove(0).bearing.unwrap().pairs;
+    assert!(pairs.no_pose > pairs.formed / 10 && !pairs.may_be_exchanged(), "{pairs:?}");
 }
 
 #[test]

@@ -321,7 +321,7 @@ fn real_captures_through_two_nodes_give_what_is_made_offline() {
                 let port = free_port();
                 let driver = format!(
                     "mac = \"{own}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {speed} }}\n\
-                 odometry.csv.file = '{}'\n[estimator]\nwindow_m = 1000\nwindow_s = 100000\nrate_hz = 0.02\nextrapolate_s = 0\n\
+                 odometry.csv.file = '{}'\n[estimator]\nwindow_m = 1000\nwindow_s = 100000\nrate_hz = 0.02\n\
                  [[peer]]\nname = \"r1\"\nmac = \"{mac}\"\nrecords.network = {{}}\n",
                     rx.display(),
                     trajectory.display()

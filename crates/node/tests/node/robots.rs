@@ -475,7 +475,7 @@ fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
     let _ = write!(
         text,
         "mac = \"{own}\"\nchannel = \"108\"\ncapture.replay.file = '{}'\nodometry.csv.file = '{}'\n\
-         [estimator]\nwindow_m = 1000\nwindow_s = 100000\nrate_hz = 0.02\nextrapolate_s = 0\n",
+         [estimator]\nwindow_m = 1000\nwindow_s = 100000\nrate_hz = 0.02\n",
         rx.display(),
         trajectory.display()
     );
