@@ -1,8 +1,9 @@
 //! Answers of the default pipeline in free space, for motion of one end or both, compared with their truth and the Cramer-Rao bound:
-//! `cargo run --release --bin geometries [helix | near | shapes | both | wide]`.
+//! `cargo run --release --bin geometries [helix | near | shapes | both | wide | random]`.
 
 use csi5300::pipeline::Options;
 use csi5300_sim::motion::{Arc, Circle, Helix, Line, RandomWalk, RobotMotion, Square, Waypoints};
+use csi5300_sim::random::Stream;
 use ends::{Ends, Seen};
 use rayon::prelude::*;
 
@@ -11,7 +12,8 @@ mod ends;
 
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).collect();
-    let all: [(&str, fn()); 5] = [("helix", helix), ("near", near), ("shapes", shapes), ("both", both), ("wide", wide)];
+    let all: [(&str, fn()); 6] =
+        [("helix", helix), ("near", near), ("shapes", shapes), ("both", both), ("wide", wide), ("random", random)];
     all.iter().filter(|(name, _)| wanted.is_empty() || wanted.iter().any(|w| w == name)).for_each(|(_, run)| run());
 }
 
@@ -234,5 +236,123 @@ fn both() {
             ..Ends::default()
         };
         print(name, &run(&(0..20).map(one).collect::<Vec<_>>()));
+    }
+}
+
+/// What a random motion is, its points or shape, and how long it takes, seconds.
+fn random_motion(random: &mut Stream) -> (&'static str, RobotMotion, f64) {
+    let size_m = 10f64.powf(random.between(-0.9, 0.25));
+    let speed_m_s = random.between(0.1, 0.3);
+    let (start_s, kind) = (0.0, random.between(0.0, 8.0) as u32);
+    let lasts = |length_m: f64| (length_m / speed_m_s).clamp(2.0, 40.0);
+    let through = |points_m: Vec<[f64; 3]>| {
+        let starts = std::iter::once(&[0.0; 3]).chain(&points_m);
+        let length = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).map(|k| (b[k] - a[k]).powi(2)).sum::<f64>().sqrt();
+        let duration_s = starts.zip(&points_m).map(length).sum::<f64>() / speed_m_s;
+        (RobotMotion::Waypoints(Waypoints { points_m, speed_m_s, start_s }), duration_s)
+    };
+    match kind {
+        0 => {
+            let duration_s = lasts(size_m);
+            ("line", RobotMotion::Line(Line { length_m: size_m, duration_s, start_s }), duration_s)
+        }
+        1 => {
+            let (radius_m, turns) = (size_m / 2.0, random.between(0.4, 1.6));
+            let duration_s = lasts(6.28 * radius_m * turns);
+            ("level", RobotMotion::Circle(Circle { radius_m, duration_s, turns, start_s }), duration_s)
+        }
+        2 | 3 => {
+            let angle_deg = random.between(10.0, 300.0);
+            let duration_s = lasts(size_m);
+            let radius_m = size_m / angle_deg.to_radians();
+            ("level", RobotMotion::Arc(Arc { radius_m, angle_deg, duration_s, start_s }), duration_s)
+        }
+        4 => {
+            let duration_s = lasts(2.0 * size_m);
+            let turning_deg_s = random.between(20.0, 90.0);
+            let walk = RandomWalk { speed_m_s, turning_deg_s, within_m: size_m, duration_s, start_s };
+            ("level", RobotMotion::RandomWalk(walk), duration_s)
+        }
+        5 => {
+            let (radius_m, turns) = (size_m / 3.0, random.between(0.5, 2.0));
+            let (rise_m, duration_s) = (random.between(0.0, 0.5) * size_m, lasts(6.28 * radius_m * turns));
+            ("in space", RobotMotion::Helix(Helix { radius_m, rise_m, duration_s, turns, start_s }), duration_s)
+        }
+        6 => {
+            let mut at = [0.0; 3];
+            let mut next = |_| {
+                at = at.map(|v: f64| (v + 0.4 * size_m * random.normal()).clamp(-size_m, size_m));
+                at
+            };
+            let (motion, duration_s) = through((0..8).map(&mut next).collect());
+            ("in space", motion, duration_s)
+        }
+        _ => {
+            let (up, flat) = random.between(5.0, 85.0).to_radians().sin_cos();
+            let point = |k: i32| {
+                let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 60.0).sin_cos();
+                [0.5 * size_m * (cos - 1.0) * flat, 0.5 * size_m * sin, 0.5 * size_m * (cos - 1.0) * up]
+            };
+            let (motion, duration_s) = through((1..=60).map(point).collect());
+            ("tilted", motion, duration_s)
+        }
+    }
+}
+
+/// Scenes as the prior expects them, one in five with a transmitter that moves, at 0 to 25 dB; a third with exact odometry, one with
+/// noise of 1 mm and a scale deviation of 0.5 %, one with 3 mm and 1 %.
+fn random_scene(seed: u64) -> (&'static str, Ends) {
+    let mut random = Stream::of_seed(seed);
+    let (kind, receiver, duration_s) = random_motion(&mut random);
+    let range_m = 10f64.powf(random.between(1.8f64.log10(), 36f64.log10()));
+    let steep = !matches!(kind, "line" | "level") && random.between(0.0, 1.0) < 0.1;
+    let elevation = if steep { random.between(20.0, 70.0) } else { random.between(0.0, 20.0) };
+    let elevation = elevation * if random.between(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 };
+    let transmitter_m = away(random.between(-180.0, 180.0), elevation, range_m);
+    let [odometry_noise_m, scale_sd] = [[0.0, 0.0], [0.001, 0.005], [0.003, 0.01]][random.between(0.0, 3.0) as usize];
+    let line = Line { length_m: random.between(0.1, 1.0), duration_s, start_s: 0.0 };
+    let moves = random.between(0.0, 1.0) < 0.2;
+    let ends = Ends {
+        receiver,
+        transmitter_m,
+        transmitter: if moves { RobotMotion::Line(line) } else { RobotMotion::Static },
+        duration_s: duration_s + 1.0,
+        snr_db: random.between(0.0, 25.0),
+        odometry_noise_m,
+        odometry_scale: scale_sd * random.normal().clamp(-2.0, 2.0),
+        seed,
+        ..Ends::default()
+    };
+    (kind, ends)
+}
+
+/// How often random scenes' errors are within their bars, places within their ellipses, and probabilities right.
+fn random() {
+    let one = |seed| {
+        let (kind, ends) = random_scene(seed);
+        ends.see(&options()).ok().map(|seen| (kind, seen))
+    };
+    let all: Vec<(&str, Seen)> = (0..4000).into_par_iter().filter_map(one).collect();
+    for kind in ["line", "level", "tilted", "in space"] {
+        let seen: Vec<&Seen> = all.iter().filter(|(own, _)| *own == kind).map(|(_, seen)| seen).collect();
+        let share = |is: &dyn Fn(&Seen) -> bool| {
+            100.0 * seen.iter().filter(|seen| is(seen)).count() as f64 / seen.len().max(1) as f64
+        };
+        let said = 100.0 * seen.iter().map(|seen| seen.confidence).sum::<f64>() / seen.len().max(1) as f64;
+        let levels: Vec<f64> = seen.iter().filter_map(|seen| seen.position_level).collect();
+        let inside = |most: f64| {
+            100.0 * levels.iter().filter(|level| **level < most).count() as f64 / levels.len().max(1) as f64
+        };
+        println!(
+            "{kind:9} {:4} runs: within the bar {:3.0} %, twice the bar {:3.0} %, over three bars and a degree off {:4.1} %; within 5 degrees {said:3.0} % said, {:3.0} % true; {:4} places, within 68 % {:3.0} %, within 95 % {:3.0} %",
+            seen.len(),
+            share(&|s| s.folded_error_deg < s.azimuth_sd_deg),
+            share(&|s| s.folded_error_deg < 2.0 * s.azimuth_sd_deg),
+            share(&|s| s.folded_error_deg > 1f64.max(3.0 * s.azimuth_sd_deg)),
+            share(&|s| s.azimuth_error_deg.abs() < 5.0),
+            levels.len(),
+            inside(2.297),
+            inside(6.158),
+        );
     }
 }

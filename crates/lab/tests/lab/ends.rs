@@ -61,6 +61,8 @@ pub struct Recording {
 pub struct Seen {
     /// Azimuth minus that from the mean of the receiver's places to the mean of the transmitter's, degrees.
     pub azimuth_error_deg: f64,
+    /// The smaller magnitude of the errors of azimuth and mirror, degrees: error bars are about the nearer of the two.
+    pub folded_error_deg: f64,
     /// Elevation minus the true one, degrees; of the magnitudes if the answer has no sign; `None` without an elevation.
     pub elevation_error_deg: Option<f64>,
     /// True if the answer's elevation has a sign.
@@ -187,8 +189,11 @@ impl Recording {
             let elevation = candidate.signed_elevation_rad.unwrap_or(candidate.abs_elevation_rad.copysign(truth.1));
             csi5300::bartlett::direction(candidate.azimuth_rad, elevation).angle(&away).to_degrees()
         };
+        let error_deg = |azimuth_rad: f64| wrap_rad(azimuth_rad - truth.0).to_degrees();
+        let mirror_error_deg = answer.mirror_rad.map_or(f64::MAX, error_deg);
         Seen {
-            azimuth_error_deg: wrap_rad(answer.azimuth_rad - truth.0).to_degrees(),
+            azimuth_error_deg: error_deg(answer.azimuth_rad),
+            folded_error_deg: error_deg(answer.azimuth_rad).abs().min(mirror_error_deg.abs()),
             elevation_error_deg: elevation_error.map(f64::to_degrees),
             signed: answer.signed_elevation_rad.is_some(),
             bound_deg: bound_deg(&points, &away, samples.wavelength_m(), phase_rad),
