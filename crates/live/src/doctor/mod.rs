@@ -337,6 +337,7 @@ mod tests {
                 ("sys/class/rfkill/rfkill0/hard", "0\n"),
                 ("sys/class/net/wlp1s0/type", "803\n"),
                 ("sys/class/net/wlp1s0/flags", "0x1003\n"),
+                ("sys/class/net/wlp1s0/phy80211/name", "phy0\n"),
                 (RATE_PATH, "0x4101\n"),
                 ("run/dmesg", "iwlwifi 0000:01:00.0: loaded firmware version 8.24.2.12\n"),
                 (
@@ -649,6 +650,25 @@ mod tests {
         assert!(undone.iter().any(|line| line.contains("set type managed")));
         assert!(undone.iter().any(|line| line == "modprobe iwlwifi"));
         assert_eq!(undone.last().unwrap(), "nmcli device set wlp1s0 managed yes");
+    }
+
+    #[test]
+    fn of_two_cards_the_one_that_is_set_up_gets_the_rate() {
+        let stage = Stage::healthy("two-cards");
+        let other = RATE_PATH.replace("phy0", "phy1");
+        stage.put(&other, "0x0");
+        stage.put("sys/class/net/wlp2s0/phy80211/name", "phy1\n");
+        let system = Remembering { tree: stage.tree(), stage: &stage, done: RefCell::default() };
+        for (interface, path) in [("wlp2s0", &*other), ("wlp1s0", RATE_PATH)] {
+            let request = Request { interface: interface.into(), ..request(Role::Responder, "64", None) };
+            let steps = plan(&system, &request).unwrap();
+            assert_eq!(apply(&system, &steps).last().unwrap(), &format!("/{path} <- 0x4101"));
+            assert!(steps.last().unwrap().line().contains(&format!("/sys/class/net/{interface}/phy80211/name")));
+        }
+        stage.remove(&other);
+        let request = Request { interface: "wlp2s0".into(), ..request(Role::Responder, "64", None) };
+        let error = plan(&system, &request).unwrap().last().unwrap().take(&system).unwrap_err();
+        assert!(error.starts_with("wlp2s0 has no monitor_tx_rate"), "{error}");
     }
 
     #[test]
