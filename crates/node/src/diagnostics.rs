@@ -203,8 +203,11 @@ fn of(header: Header, (node, health): (&str, &Health)) -> DiagnosticArray {
     let rate = |what: &str, hz: f64| (if hz > 0.0 { WELL } else { STALE }, format!("{hz:.0} {what} a second"));
     let values = ["/records", "/records_hz", "/losses", "/missing", "/strangers"];
     let card = status(whose, "card", rate("records", health.records_hz), (&all, &values));
-    let values = ["/poses/poses", "/poses_hz", "/poses/new_frames"];
-    let odometry = status(whose, "odometry", rate("poses", health.poses_hz), (&all, &values));
+    let refused = |count: u64| if count > 0 { format!("; {count} poses refused") } else { String::new() };
+    let values = ["/poses/poses", "/poses_hz", "/poses/new_frames", "/poses/refused"];
+    let (level, words) = rate("poses", health.poses_hz);
+    let words = words + &refused(health.poses.refused);
+    let odometry = status(whose, "odometry", (level, words), (&all, &values));
     let peers = health.peers.iter().map(|peer| {
         let good = |state| matches!(state, PeerState::Bearing | PeerState::Held | PeerState::NotYet);
         let (level, words) = match &peer.report {
@@ -212,7 +215,8 @@ fn of(header: Header, (node, health): (&str, &Health)) -> DiagnosticArray {
             None => (STALE, "no report yet".into()),
         };
         let words = if words.is_empty() { format!("{:.0} exchanges a second", peer.pairs_hz) } else { words };
-        let values = ["/mac", "/pairs_hz", "/counts/pairs", "/counts/losses"];
+        let words = words + &refused(peer.counts.poses_refused);
+        let values = ["/mac", "/pairs_hz", "/counts/pairs", "/counts/losses", "/counts/poses_refused"];
         status(whose, &format!("peer {}", peer.name), (level, words), (&json!(peer), &values))
     });
     let trouble = match health.trouble.as_slice() {
@@ -270,6 +274,7 @@ fn claims((node, robot): (&str, &str), found: &[Found]) -> DiagnosticStatus {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::health::PeerHealth;
 
     #[test]
     fn trouble_is_a_warning_and_silence_is_stale() {
@@ -284,6 +289,18 @@ mod tests {
             said.status[0].values.iter().map(|told| (told.key.as_str(), told.value.as_str())).collect();
         assert_eq!(values[..2], [("records", "0"), ("records_hz", "99.6")]);
         assert_eq!((said.status[2].message.as_str(), said.status[2].hardware_id.as_str()), ("a; b", "burger"));
+    }
+
+    #[test]
+    fn poses_that_are_not_used_are_said() {
+        let mut health = Health { poses_hz: 50.0, peers: vec![PeerHealth::default()], ..Health::default() };
+        let said = |health: &Health| {
+            let said = of(Header::default(), ("csi5300_burger", health)).status;
+            [said[1].message.clone(), said[2].message.clone()]
+        };
+        assert_eq!(said(&health), ["50 poses a second", "no report yet"]);
+        (health.poses.refused, health.peers[0].counts.poses_refused) = (3, 2);
+        assert_eq!(said(&health), ["50 poses a second; 3 poses refused", "no report yet; 2 poses refused"]);
     }
 
     #[test]

@@ -235,6 +235,9 @@ impl Health {
     pub fn line(&self) -> String {
         let mut text = format!("{:.0} records/s, {:.0} poses/s", self.records_hz, self.poses_hz);
         let disk = self.log.as_ref().map_or(0, |log| log.dropped + log.lost_on_disk);
+        if self.poses.refused > 0 {
+            let _ = write!(text, " ({} refused)", self.poses.refused);
+        }
         let _ = write!(text, "; lost {}", self.losses + disk);
         for peer in &self.peers {
             let _ = write!(text, "; {} ", peer.name);
@@ -280,6 +283,14 @@ mod tests {
         let mut at = |count, s: i64| alarm.is_on(count, Instant::from_us(s * 1_000_000));
         let lasts = [at(0, 0), at(1, 1), at(1, 60), at(2, 60), at(2, 119), at(2, 120)];
         assert_eq!(lasts, [false, true, true, true, true, false]);
+    }
+
+    #[test]
+    fn the_line_tells_poses_that_are_not_used() {
+        let mut health = Health { poses_hz: 50.0, ..Health::default() };
+        assert!(health.line().starts_with("0 records/s, 50 poses/s; lost 0"));
+        health.poses.refused = 3;
+        assert!(health.line().starts_with("0 records/s, 50 poses/s (3 refused); lost 0"));
     }
 
     #[test]

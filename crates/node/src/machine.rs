@@ -95,6 +95,8 @@ pub struct PoseCounts {
     pub clock_set: u64,
     /// Trajectory files, also those of peers, of which rows were skipped.
     pub incomplete: u64,
+    /// Poses that were not used: with the time of another, not finite, or alone far off in time.
+    pub refused: u64,
 }
 
 /// A running robot.
@@ -184,6 +186,7 @@ impl Machine {
             *(if pose.is_some() { &mut counts.poses } else { &mut counts.new_frames }) += 1;
             self.taps.iter_mut().for_each(|tap| tap.pose(pose));
         });
+        counts.refused = self.estimator.track().refused();
         self.trouble.extend(received.as_ref().err().map(|error| format!("odometry: {error}")));
         let mut more = received.unwrap_or_default() | self.take_records(now)?;
         for peer in 0..self.peers.len() {
@@ -374,11 +377,23 @@ mod tests {
         }
     }
 
-    #[test]
-    fn poses_that_wait_at_the_end_are_taken() {
-        let pose = |k: u32| Pose { t_s: f64::from(k) * 1e-3, position_m: Vector3::zeros(), heading_rad: None };
-        let poses = Trajectory::new((0..5_000).map(pose).collect()).unwrap();
-        let poses = || -> Poses { Box::new(Replayed::new(&poses, 0.0, Instant::ZERO, 1.0)) };
+    /// A source that gives one pose so many times.
+    struct Repeated(u32);
+
+    impl OdometrySource for Repeated {
+        fn receive(&mut self, _now: Instant) -> Result<NextPose, Error> {
+            let Some(left) = self.0.checked_sub(1) else { return Ok(NextPose::Pending) };
+            self.0 = left;
+            Ok(NextPose::Pose(Pose { t_s: 1.0, position_m: Vector3::zeros(), heading_rad: None }))
+        }
+
+        fn next_at(&self) -> Option<Instant> {
+            None
+        }
+    }
+
+    /// A robot without a card, and a peer, with poses of this source.
+    fn machine(poses: &dyn Fn() -> Poses) -> Machine {
         let channel: Channel = "108".parse().unwrap();
         let peer = LivePeer { name: "b".into(), mac: Mac([2; 6]), track: Track::default(), yaw_rad: 0.0 };
         let (records, is_heard_only, open_ended) = (None, false, false);
@@ -394,9 +409,24 @@ mod tests {
             trajectories: Trajectories::default(),
             speed: 1_000.0,
         };
-        let (settings, end) = (LiveSettings::new(channel.wavelength_m()), Instant::from_us(5_000_000));
-        let mut machine = Machine::new(sources, None, settings, Options::new(channel), Instant::ZERO).unwrap();
-        machine.drain(end);
+        let settings = LiveSettings::new(channel.wavelength_m());
+        Machine::new(sources, None, settings, Options::new(channel), Instant::ZERO).unwrap()
+    }
+
+    #[test]
+    fn poses_that_are_not_used_are_counted() {
+        let mut machine = machine(&|| Box::new(Repeated(3)));
+        machine.drain(Instant::ZERO);
+        let of_peer = machine.estimator.peers().next().unwrap().1.poses_refused;
+        assert_eq!((machine.pose_counts.poses, machine.pose_counts.refused, of_peer), (3, 2, 2));
+    }
+
+    #[test]
+    fn poses_that_wait_at_the_end_are_taken() {
+        let pose = |k: u32| Pose { t_s: f64::from(k) * 1e-3, position_m: Vector3::zeros(), heading_rad: None };
+        let poses = Trajectory::new((0..5_000).map(pose).collect()).unwrap();
+        let mut machine = machine(&|| Box::new(Replayed::new(&poses, 0.0, Instant::ZERO, 1.0)));
+        machine.drain(Instant::from_us(5_000_000));
         let of_peer = |machine: &Machine| machine.estimator.peers().next().unwrap().0.track.len();
         assert_eq!((machine.pose_counts.poses, of_peer(&machine)), (5_000, 5_000));
     }

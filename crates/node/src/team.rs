@@ -170,7 +170,7 @@ impl Graph {
     /// Takes the machine's last report about a peer. True if the graph changed.
     pub fn note(&mut self, peer: usize, report: &PeerReport, machine: &Machine) -> bool {
         let Some((known, _)) = machine.estimator.peers().nth(peer) else { return false };
-        let counts = PoseCounts { poses: 0, incomplete: 0, ..machine.pose_counts };
+        let counts = PoseCounts { poses: 0, incomplete: 0, refused: 0, ..machine.pose_counts };
         if counts != self.frames.0 {
             // Earlier keyframes are in another frame.
             self.seen.clear();

@@ -317,6 +317,7 @@ impl Air {
         });
         let now = local(&self.world, robot, flight.end_ns);
         let role = node.sender.as_mut().map_or(FrameRole::Unknown, |tdma| hear(tdma, now, flight.bytes.without_fcs()));
+        let role = node.role_of_copy(flight, role);
         let duplicated = node.loss.happens(scene.robot[robot].faults.duplicate);
         self.received(robot, flight, flight.start_ns, role, away_ns);
         if duplicated {
@@ -543,6 +544,8 @@ pub struct Node {
     heard: Option<FrameHeard>,
     /// Frames that the card is to send, in order.
     outgoing: VecDeque<Outgoing>,
+    /// By sender: the last frame heard of those sent twice, until its second copy is heard.
+    first_copies: BTreeMap<usize, (FrameBytes, FrameRole)>,
     /// When the first of them is tried.
     tried_ns: Option<i64>,
     on: bool,
@@ -592,6 +595,17 @@ impl Node {
         }
     }
 
+    /// The role of a frame heard: of a second copy that of the first, which alone the scheduler takes for itself.
+    fn role_of_copy(&mut self, flight: &Flight, role: FrameRole) -> FrameRole {
+        if flight.again {
+            self.first_copies.insert(flight.from, (flight.bytes.clone(), role));
+        } else if flight.retries > 0 {
+            let first = self.first_copies.remove(&flight.from);
+            return first.filter(|(bytes, _)| Arc::ptr_eq(&bytes.0, &flight.bytes.0)).map_or(role, |(_, role)| role);
+        }
+        role
+    }
+
     fn new(seed: u64, robot: usize) -> Self {
         Self {
             arrivals: VecDeque::new(),
@@ -603,6 +617,7 @@ impl Node {
             armed_ns: None,
             heard: None,
             outgoing: VecDeque::new(),
+            first_copies: BTreeMap::new(),
             tried_ns: None,
             on: true,
             clock_base_us: 0,

@@ -248,4 +248,22 @@ mod tests {
         let restarted = b[&("forward", 0)].windows(2).filter(|w| w[1] < w[0]).count();
         assert_eq!((restarted, room.injected()[0].restarts), (1, 1), "numbers begin again once");
     }
+
+    #[test]
+    fn a_frame_sent_twice_has_the_same_role_twice() {
+        for (dialect, twice) in [("wsr", 0), ("wsr", 1), ("native", 0), ("native", 1)] {
+            let mut scene = scene(2, 10.0, &format!("rate_hz = 100\ndialect = \"{dialect}\""), "");
+            scene.robot[twice].faults.retry = 0.2;
+            let mut room = Room::new(&scene).unwrap();
+            let mut cards = [room.card(0).unwrap(), room.card(1).unwrap()];
+            cards.iter_mut().for_each(Port::own_only);
+            let [a, b] = cards.each_mut().map(numbers);
+            let (back, forth) = (&a[&("backward", 1)], &b[&("forward", 0)]);
+            let copies = |heard: &[u32]| heard.windows(2).filter(|pair| pair[0] == pair[1]).count();
+            let (of_answers, of_questions) = (copies(back), copies(forth));
+            let (some, none) = if twice == 1 { (of_answers, of_questions) } else { (of_questions, of_answers) };
+            assert!((150..250).contains(&some) && none == 0, "{dialect} {twice}: {some} {none}");
+            assert!(room.injected().iter().all(|injected| injected.overheard == 0), "{dialect} {twice}");
+        }
+    }
 }

@@ -282,7 +282,8 @@ impl LiveEstimator {
             return heard;
         }
         let refused = state.admission.as_ref().map_or_else(Default::default, |gate| gate.counts);
-        PeerCounts { pairs: state.pairs(), refused, carried: state.carried_counts(), ..state.counts }
+        let poses_refused = state.peer.track.refused();
+        PeerCounts { pairs: state.pairs(), refused, carried: state.carried_counts(), poses_refused, ..state.counts }
     }
 
     /// Counts of this robot's own card.
@@ -465,6 +466,8 @@ pub struct PeerCounts {
     pub refused: AdmissionCounts,
     /// Windows through which the peer's place was carried, and how often that restarted.
     pub carried: TrackCounts,
+    /// Its poses that were not used: with the time of another, not finite, or alone far off in time.
+    pub poses_refused: u64,
 }
 
 #[cfg(test)]

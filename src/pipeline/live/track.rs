@@ -24,8 +24,7 @@ pub struct Track {
     still: bool,
     /// A pose far after all others: a wrong stamp if the next one is before it, as a first pose far after the second one is.
     doubtful: Option<Pose>,
-    /// Poses with a known time, not finite, or alone far after all others.
-    pub(crate) refused: u64,
+    refused: u64,
 }
 
 impl Track {
@@ -99,6 +98,13 @@ impl Track {
     #[doc(hidden)] // for the crates of this workspace
     pub fn is_empty(&self) -> bool {
         self.poses.is_empty()
+    }
+
+    /// Poses that were not used: with a known time, not finite, or alone far after all others.
+    #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
+    pub fn refused(&self) -> u64 {
+        self.refused
     }
 
     /// The poses kept, in the order of time.

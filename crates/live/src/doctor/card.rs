@@ -91,7 +91,10 @@ pub(super) fn checks(system: &dyn System, card: Option<&Card>, ways: &Ways) -> V
     checks.extend(card.map(|card| driver(system, card)));
     checks.extend([
         patched(system, ways).of("patched module", "an iwlwifi module with the parameter connector_log"),
-        parameters(system).of("connector_log", "connector_log with bit 0x1 (CSI); 0x5 adds the frames themselves"),
+        parameters(system).of(
+            "connector_log",
+            "bit 0x1 (CSI); with csitool's driver 0x5, which adds the frames and so their senders",
+        ),
         firmware_file(system).of("firmware file", format!("{FIRMWARE}, {FIRMWARE_BYTES} bytes")),
         newer_firmware(system)
             .of("other firmware", "no other iwlwifi-5000-*.ucode: the driver loads the highest number"),
@@ -184,7 +187,7 @@ fn patched(system: &dyn System, ways: &Ways) -> Found {
         return unknown("absent: this kernel has none, see `way to CSI`");
     }
     let mend = "build and install the CSI driver (firmware-notes/install-up-squared.md), then `sudo modprobe -r iwldvm \
-                iwlwifi && sudo modprobe iwlwifi connector_log=0x1`";
+                iwlwifi && sudo modprobe iwlwifi connector_log=0x5` (csitool's; WSR's: 0x1)";
     let found = match system.names("/sys/module/iwlwifi").is_empty() {
         true => "iwlwifi is not loaded",
         false => "iwlwifi without connector_log: the distribution's module",
@@ -196,12 +199,25 @@ fn parameters(system: &dyn System) -> Found {
     let Some(text) = system.text(&format!("{PARAMETERS}/connector_log")) else {
         return unknown("not there");
     };
-    let ack = system.text(&format!("{PARAMETERS}/ack_len")).map_or(String::new(), |ack| format!(", ack_len {ack}"));
+    let ack_len = system.text(&format!("{PARAMETERS}/ack_len"));
+    let is_csitool = ack_len.is_none();
+    let ack = ack_len.map_or(String::new(), |ack| format!(", ack_len {ack}"));
     match number(&text) {
+        Some(bits) if is_csitool && bits & 5 == 1 => doubt(format!(
+            "{bits:#x}: CSI without its frames, so no record names its sender or number: senders cannot be told apart, nor \
+             exchanges paired"
+        ))
+        .mend(format!("{} (`csi5300 setup` does it)", reload(system))),
         Some(bits) if bits & 1 != 0 => good(format!("{bits:#x}{ack}")),
-        _ => bad(format!("{text}{ack}: no CSI is sent"))
-            .mend("sudo modprobe -r iwldvm iwlwifi && sudo modprobe iwlwifi connector_log=0x1"),
+        _ => bad(format!("{text}{ack}: no CSI is sent")).mend(reload(system)),
     }
+}
+
+/// The command that loads the driver again; csitool's, which has no `ack_len`, with the frames too.
+pub(super) fn reload(system: &dyn System) -> String {
+    let is_wsr = system.text(&format!("{PARAMETERS}/ack_len")).is_some();
+    let log = if is_wsr { "0x1" } else { "0x5" };
+    format!("sudo modprobe -r iwldvm iwlwifi && sudo modprobe iwlwifi connector_log={log}")
 }
 
 fn firmware_file(system: &dyn System) -> Found {
@@ -236,8 +252,7 @@ fn newer_firmware(system: &dyn System) -> Found {
 fn firmware_loaded(system: &dyn System, card: Option<&Card>) -> Found {
     let log = kernel_log(system);
     if has_crashed(&log) {
-        return bad("the firmware crashed (Microcode SW error in the kernel's log)")
-            .mend("sudo modprobe -r iwldvm iwlwifi && sudo modprobe iwlwifi connector_log=0x1");
+        return bad("the firmware crashed (Microcode SW error in the kernel's log)").mend(reload(system));
     }
     let told = log.lines().rev().find_map(|line| {
         let version = line.split_once("loaded firmware version ")?.1;

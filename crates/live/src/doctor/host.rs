@@ -50,8 +50,7 @@ fn connector(system: &dyn System, ways: &Ways) -> Found {
         None if card::leads_elsewhere(system, ways) => {
             unknown("`iwlagn` is not registered: `way to CSI` names the driver")
         }
-        None => bad("`iwlagn` is not registered: no CSI driver is running")
-            .mend("sudo modprobe -r iwldvm iwlwifi && sudo modprobe iwlwifi connector_log=0x1"),
+        None => bad("`iwlagn` is not registered: no CSI driver is running").mend(card::reload(system)),
     }
 }
 

@@ -331,12 +331,13 @@ mod tests {
                 ("proc/sys/net/core/rmem_max", "33554432\n"),
                 ("proc/net/connector", "Name            ID\ncn_proc         1:1\niwlagn          26:1\n"),
                 ("proc/self/status", "Name:\tcsi5300\nCapEff:\t0000000000001000\n"),
-                ("sys/module/iwlwifi/parameters/connector_log", "1\n"),
+                ("sys/module/iwlwifi/parameters/connector_log", "5\n"),
                 ("sys/class/rfkill/rfkill0/type", "wlan\n"),
                 ("sys/class/rfkill/rfkill0/soft", "0\n"),
                 ("sys/class/rfkill/rfkill0/hard", "0\n"),
                 ("sys/class/net/wlp1s0/type", "803\n"),
                 ("sys/class/net/wlp1s0/flags", "0x1003\n"),
+                ("sys/class/net/wlp1s0/phy80211/name", "phy0\n"),
                 (RATE_PATH, "0x4101\n"),
                 ("run/dmesg", "iwlwifi 0000:01:00.0: loaded firmware version 8.24.2.12\n"),
                 (
@@ -443,9 +444,12 @@ mod tests {
         "Secure Boot | bad | on | BIOS | EFIVAR = \u{6}\0\0\0\u{1}",
         "driver | bad | no driver | modprobe iwlwifi | - CARD/driver",
         // The distribution's module.
-        "patched module | bad | the distribution's module | connector_log=0x1 | - MODULE/connector_log | MODULE/swcrypto = 0",
+        "patched module | bad | the distribution's module | connector_log=0x5 | - MODULE/connector_log | MODULE/swcrypto = 0",
         "patched module | bad | not loaded | install | - sys/module/iwlwifi",
-        "connector_log | bad | no CSI | 0x1 | MODULE/connector_log = 4",
+        "connector_log | bad | no CSI | 0x5 | MODULE/connector_log = 4",
+        "connector_log | bad | no CSI | 0x1 | MODULE/connector_log = 4 | MODULE/ack_len = 57",
+        "connector_log | doubt | no record names its sender | connector_log=0x5 (`csi5300 setup` | MODULE/connector_log = 1",
+        "connector_log | good | 0x1, ack_len 57 |  | MODULE/connector_log = 1 | MODULE/ack_len = 57",
         "firmware file | bad | 1 bytes | cp  | lib/firmware/iwlwifi-5000-2.ucode = y",
         "firmware file | bad | not there | sigcomm2010 | - lib/firmware",
         "other firmware | bad | iwlwifi-5000-5.ucode win | mv /lib/firmware/iwlwifi-5000-5.ucode | lib/firmware/iwlwifi-5000-5.ucode = z",
@@ -649,6 +653,25 @@ mod tests {
         assert!(undone.iter().any(|line| line.contains("set type managed")));
         assert!(undone.iter().any(|line| line == "modprobe iwlwifi"));
         assert_eq!(undone.last().unwrap(), "nmcli device set wlp1s0 managed yes");
+    }
+
+    #[test]
+    fn of_two_cards_the_one_that_is_set_up_gets_the_rate() {
+        let stage = Stage::healthy("two-cards");
+        let other = RATE_PATH.replace("phy0", "phy1");
+        stage.put(&other, "0x0");
+        stage.put("sys/class/net/wlp2s0/phy80211/name", "phy1\n");
+        let system = Remembering { tree: stage.tree(), stage: &stage, done: RefCell::default() };
+        for (interface, path) in [("wlp2s0", &*other), ("wlp1s0", RATE_PATH)] {
+            let request = Request { interface: interface.into(), ..request(Role::Responder, "64", None) };
+            let steps = plan(&system, &request).unwrap();
+            assert_eq!(apply(&system, &steps).last().unwrap(), &format!("/{path} <- 0x4101"));
+            assert!(steps.last().unwrap().line().contains(&format!("/sys/class/net/{interface}/phy80211/name")));
+        }
+        stage.remove(&other);
+        let request = Request { interface: "wlp2s0".into(), ..request(Role::Responder, "64", None) };
+        let error = plan(&system, &request).unwrap().last().unwrap().take(&system).unwrap_err();
+        assert!(error.starts_with("wlp2s0 has no monitor_tx_rate"), "{error}");
     }
 
     #[test]

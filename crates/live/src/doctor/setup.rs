@@ -61,8 +61,15 @@ pub enum Action {
     Run(Vec<String>),
     /// Writes a file.
     Write {
-        /// The file; a pattern if earlier steps make it appear.
+        /// The file.
         path: String,
+        /// What is written.
+        text: String,
+    },
+    /// Writes the rate file of an interface's card, which earlier steps make appear.
+    WriteRate {
+        /// The interface.
+        interface: String,
         /// What is written.
         text: String,
     },
@@ -94,9 +101,14 @@ impl Step {
     pub fn line(&self) -> String {
         match &self.action {
             Action::Run(words) => format!("sudo {}", words.join(" ")),
-            // Only root's shell can look for names in debugfs.
-            Action::Write { path, text } if path.contains('*') => format!("sudo sh -c 'echo {text} | tee {path}'"),
             Action::Write { path, text } => format!("echo {text} | sudo tee {path}"),
+            // Only root's shell can look for names in debugfs.
+            Action::WriteRate { interface, text } => {
+                let phy = format!("$(cat /sys/class/net/{interface}/phy80211/name)");
+                format!(
+                    "sudo sh -c 'echo {text} | tee /sys/kernel/debug/ieee80211/{phy}/iwlwifi/*/debug/monitor_tx_rate'"
+                )
+            }
         }
     }
 
@@ -105,11 +117,20 @@ impl Step {
     /// # Errors
     /// What failed and how, unless that does not matter.
     pub fn take(&self, system: &dyn System) -> Result<(), String> {
+        let write =
+            |path: &str, text: &str| system.write(path, text).map_err(|error| format!("writing {path}: {error}"));
         let outcome = match &self.action {
-            Action::Write { path, text } => match find_rate_file(system, path) {
-                Some(path) => system.write(&path, text).map_err(|error| format!("writing {path}: {error}")),
-                None => Err(format!("{path} is not there: is debugfs mounted, and the driver a CSI driver?")),
-            },
+            Action::Write { path, text } => write(path, text),
+            Action::WriteRate { interface, text } => {
+                let phy = system.text(&format!("/sys/class/net/{interface}/phy80211/name"));
+                match phy.and_then(|phy| rate_file(system, &phy)) {
+                    Some(path) => write(&path, text),
+                    None => Err(format!(
+                        "{interface} has no monitor_tx_rate in /sys/kernel/debug: is debugfs mounted, and its driver a CSI \
+                         driver?"
+                    )),
+                }
+            }
             Action::Run(words) => match system.run(&words.iter().map(String::as_str).collect::<Vec<_>>()) {
                 Some(ran) if ran.ok => Ok(()),
                 Some(ran) => Err(format!("{}: {}", words.join(" "), ran.text.trim())),
@@ -118,16 +139,6 @@ impl Step {
         };
         if self.may_fail { Ok(()) } else { outcome }
     }
-}
-
-/// The pattern for the rate file of whichever phy the card gets.
-const RATE_FILE: &str = "/sys/kernel/debug/ieee80211/phy*/iwlwifi/*/debug/monitor_tx_rate";
-
-fn find_rate_file(system: &dyn System, path: &str) -> Option<String> {
-    if path != RATE_FILE {
-        return Some(path.to_string());
-    }
-    system.names("/sys/kernel/debug/ieee80211").iter().find_map(|phy| rate_file(system, phy))
 }
 
 /// The installed driver, by the parameters of the modules.
@@ -183,18 +194,15 @@ pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, String>
     steps.extend(tune(interface, request.channel));
     // Answers are injected frames too, so both roles need an HT rate.
     let width = if request.channel.width() == Width::Ht20 { 0 } else { RATE_HT40 };
-    let path = if driver == Driver::Module {
-        MODULE_RATE
+    let text = format!("{:#x}", driver.rate() | width);
+    let action = if driver == Driver::Module {
+        Action::Write { path: MODULE_RATE.into(), text }
     } else {
         let mount = ["mount", "-t", "debugfs", "none", "/sys/kernel/debug"];
         steps.push(Step::run("the rate file is in debugfs", &mount).may_fail());
-        RATE_FILE
+        Action::WriteRate { interface: interface.into(), text }
     };
-    steps.push(Step {
-        why: "frames must be HT to carry CSI",
-        action: Action::Write { path: path.into(), text: format!("{:#x}", driver.rate() | width) },
-        may_fail: false,
-    });
+    steps.push(Step { why: "frames must be HT to carry CSI", action, may_fail: false });
     Ok(steps)
 }
 
