@@ -202,7 +202,7 @@ pub(crate) fn alone<'a>(
     if share < LEAST_SHARE {
         return Err(Unexplained::Faint(share));
     }
-    let fit = wave.settled(At { place, scale: 0.0 }, STEPS).ok_or(Unexplained::NoPlace)?;
+    let fit = wave.settled(At { place, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
     whiteness(&fit.left, false_alarm, tier)?;
     unambiguous(&wave, &fit.at, plane_wave, steps)?;
     let peak = highest_peak(&wave, &fit, plane_wave, false_alarm, tier)?;
@@ -220,7 +220,7 @@ pub(crate) fn unwrapped(
 ) -> Place {
     let open = Open([prior.elevation_is_open(), prior.curve_max > 0.0, false]);
     let wave = Wave { samples, points, kappa: samples.kappa(), prior, open, scale_sd, unwraps: true };
-    wave.settled(At { place: from, scale: 0.0 }, STEPS).map_or(from, |fit| fit.at.place)
+    wave.settled(At { place: from, scale: 0.0 }).map_or(from, |fit| fit.at.place)
 }
 
 /// Azimuth, elevation (or its cosine), 1 / range and scale: what a phase goes by.
@@ -285,12 +285,11 @@ impl Wave<'_> {
         square / variance + (at.scale / self.scale_sd).powi(2)
     }
 
-    /// Least squares of the residual phases from `at` in at most so many steps, within the limits: a coordinate that would leave them
-    /// stays there.
-    fn settled(&self, at: At, steps: usize) -> Option<Fit> {
+    /// Least squares of the residual phases from `at`, within the limits: a coordinate that would leave them stays there.
+    fn settled(&self, at: At) -> Option<Fit> {
         let mut fit = self.fit(at);
         let mut held = [false; 3];
-        for _ in 0..steps {
+        for _ in 0..STEPS {
             let (next, hits) = self.step(&fit, &held, true)?;
             let moved = wrap_rad(next.at.place.azimuth - fit.at.place.azimuth).abs();
             (fit, held) = (next, hits);

@@ -11,11 +11,13 @@
 //! | clocks, compensation, the gate of motion, the estimate (`crate::estimate`) | `draft` |
 //! | one log of a robot that turns, by two or three antennas | `one_log`, `first_delay` |
 //! | the same while robots drive, over the last metres | [`live`] |
+//! | whether log and trajectory tell the same times | `clocks` |
 //! | the answer, as values with its evidence of the place, and as a line of JSON | `bearing`, `answer`, `explain` |
 
 mod answer;
 mod bearing;
 mod capture;
+mod clocks;
 mod draft;
 mod error;
 mod explain;

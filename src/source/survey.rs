@@ -1,8 +1,6 @@
 //! Contents and losses of a log: counts of everything read, dropped and missing.
 
 use crate::maths::{unwrap_near, upper_median_ord};
-use crate::motion::pose::{Gap, Trajectory};
-use crate::pipeline::{JoinBy, Options};
 use crate::source::{Loss, Next, Stamps};
 use crate::time::Step16;
 use driver_iface::bfee::{Antenna, Antennas, Bfee, Repr};
@@ -686,7 +684,7 @@ fn is_whole_wraps(off_us: i64, usual_us: i64) -> bool {
 
 /// A host's clock may be this far from the card's between two records, microseconds, and be no clock that was set: records
 /// are read late, and network time is slewed.
-const SET_US: i64 = 500_000;
+pub(crate) const SET_US: i64 = 500_000;
 /// And this share of the time between them.
 const SLEW: i64 = 1_000;
 
@@ -700,7 +698,7 @@ pub struct HostSteps {
     pub furthest_us: i64,
     /// The last host time before it.
     #[serde(skip)]
-    before_us: i64,
+    pub(crate) before_us: i64,
     /// Card's clock and host time of the last record that had both.
     #[serde(skip)]
     last: Option<(u32, i64)>,
@@ -709,7 +707,7 @@ pub struct HostSteps {
 impl HostSteps {
     /// Takes the next record. The card's clock wraps every 71.6 minutes: how often between two records nobody knows, so a
     /// clock that was set on by just that is a pause. Where the card's clock went back, it is that clock which restarted.
-    fn note(&mut self, timestamp_low: u32, host_us: Option<i64>) {
+    pub(crate) fn note(&mut self, timestamp_low: u32, host_us: Option<i64>) {
         let Some(host_us) = host_us else { return };
         let Some((card, host)) = self.last.replace((timestamp_low, host_us)) else { return };
         let card_us = i64::from(timestamp_low.wrapping_sub(card).cast_signed());
@@ -753,41 +751,6 @@ impl Fields {
 const UNCONNECTED_DB: f64 = 14.0;
 
 impl Survey {
-    /// In words, if the clock of the host or that of `trajectory` was set during a run of both and the other one was not: poses of
-    /// one part are then of other times. Not if poses are joined row by row.
-    #[must_use]
-    pub fn clocks_part(&self, trajectory: &Trajectory, options: &Options) -> Option<String> {
-        let offset_s = options.clock_offset_s;
-        let (first_us, last_us) = self.host_us.filter(|_| options.join == JoinBy::Time)?;
-        let HostSteps { set, furthest_us, before_us, .. } = self.host_steps;
-        let s = |us: i64| us as f64 * 1e-6;
-        let (from_s, to_s) = trajectory.span_s();
-        if set > 0 {
-            let longest_s = || trajectory.gaps().iter().map(|gap| gap.to_s - gap.from_s).fold(0.0, f64::max);
-            let own_s = if furthest_us < 0 { trajectory.back_s() } else { longest_s() };
-            let both = [before_us, before_us.saturating_add(furthest_us)].map(|us| s(us) + offset_s);
-            let is_inside = both.iter().all(|t_s| (from_s..=to_s).contains(t_s));
-            return (is_inside && own_s < s(furthest_us).abs() - s(SET_US)).then(|| {
-                format!(
-                    "the host's clock was set by {:+.3} s, {:.1} s after the first record, and the trajectory's was not: one part of \
-                     the log has poses of other times (`export --dat` with --from or --to takes a part)",
-                    s(furthest_us),
-                    s(before_us.saturating_sub(first_us))
-                )
-            });
-        }
-        // Of a host's clock shorter steps are not seen.
-        let is_long = |gap: &Gap| gap.to_s - gap.from_s > 1.2 * s(SET_US);
-        let is_inside = |gap: &Gap| s(first_us) + offset_s < gap.from_s && gap.to_s < s(last_us) + offset_s;
-        let gap = trajectory.set_on().into_iter().find(|gap| is_long(gap) && is_inside(gap))?;
-        Some(format!(
-            "the trajectory's clock was set on by {:.3} s at {:.3} s, where the robot drives on as if no time had passed, and the \
-             host's was not: poses of one part are of other times (use the rows on one side)",
-            gap.to_s - gap.from_s,
-            gap.from_s
-        ))
-    }
-
     /// Where `antenna` hears so much less than another that nothing seems to be connected to its port: the antenna that
     /// hears most, and by how much its mean RSSI is higher, dB.
     #[must_use]
@@ -865,10 +828,8 @@ impl Survey {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::pose::Pose;
     use crate::source::Refused;
     use driver_iface::bfee::{Iq, Wsr};
-    use nalgebra::Vector3;
 
     /// Seconds on the card's clock and on the host's, a record each.
     fn steps(records: &[(f64, f64)]) -> (u64, i64) {
@@ -933,39 +894,6 @@ mod tests {
         // Pauses with a host's clock that is read late, and that drifts.
         let paused = [(0.0, 0.0), (1.0, 1.0), (3_601.0, 3_601.9), (12_001.0, 12_003.0)];
         assert_eq!(forward_s(paused.map(|(card, host)| (card, Some(host))).into_iter()), 12_001.0);
-    }
-
-    #[test]
-    fn a_clock_that_was_set_while_the_other_was_not_is_told() {
-        let channel = "108".parse().unwrap();
-        // 20 s at 100 Hz, round a circle; both clocks begin at 1,000 s, and are set at 8 s.
-        let told = |(host_s, path_s, stands): (f64, f64, bool), options: &Options| {
-            let mut survey = Survey::default();
-            for k in 0..2_000_u32 {
-                let host_us = 1_000_000_000 + 10_000 * i64::from(k) + if k < 800 { 0 } else { (host_s * 1e6) as i64 };
-                survey.host_steps.note(10_000 * k, Some(host_us));
-                let (first_us, _) = survey.host_us.unwrap_or((host_us, host_us));
-                survey.host_us = Some((first_us, host_us));
-            }
-            let pose = |k: u32| {
-                let way = 0.005 * f64::from(if stands { k.max(1_000) } else { k });
-                let t_s = 1_000.0 + 0.01 * f64::from(k) + if k < 800 { 0.0 } else { path_s };
-                Pose { t_s, position_m: Vector3::new(way.cos(), way.sin(), 0.0), heading_rad: None }
-            };
-            survey.clocks_part(&Trajectory::new((0..2_000).map(pose).collect()).unwrap(), options)
-        };
-        let plain = Options::new(channel);
-        let is_told = |host_s: f64, path_s: f64| told((host_s, path_s, false), &plain);
-        assert_eq!([is_told(0.0, 0.0), is_told(5.0, 5.0), is_told(-5.0, -5.0)], [const { None }; 3]);
-        for set_s in [5.0, -5.0] {
-            let words = is_told(set_s, 0.0).unwrap();
-            assert!(words.starts_with(&format!("the host's clock was set by {set_s:+.3} s, 8.0 s after")), "{words}");
-        }
-        assert!(is_told(0.0, 5.0).unwrap().starts_with("the trajectory's clock was set on by 5.010 s at 1007.990 s"));
-        // A robot that stood in the gap; poses of another day, which no record has; rows.
-        assert_eq!(told((0.0, 5.0, true), &plain), None);
-        assert_eq!(told((5.0, 0.0, false), &Options { clock_offset_s: -86_400.0, ..Options::new(channel) }), None);
-        assert_eq!(told((5.0, 0.0, false), &Options { join: JoinBy::Row, ..Options::new(channel) }), None);
     }
 
     #[test]

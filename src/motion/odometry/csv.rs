@@ -78,7 +78,7 @@ impl CsvCounts {
         }
         if let (count @ 1.., furthest_m) = trajectory.jumps() {
             notes.push(format!(
-                "the robot jumps from one pose to the next, {count} times, by up to {furthest_m:.2} m (another robot's poses, or a sensor \
+                "jumps from one pose to the next: {count}, by up to {furthest_m:.2} m (another robot's poses, or a sensor \
                  that began anew?)"
             ));
         }
@@ -1273,10 +1273,7 @@ mod tests {
         };
         assert_eq!(said(&path(&drives)).unwrap(), (String::new(), false));
         let (words, lost) = said(&path(&|k| drives(k) + if k < 100 { 0.0 } else { 0.6 })).unwrap();
-        assert!(
-            lost && words.starts_with("the robot jumps from one pose to the next, 1 times, by up to 0.62 m"),
-            "{words}"
-        );
+        assert!(lost && words.starts_with("jumps from one pose to the next: 1, by up to 0.62 m"), "{words}");
         // Other times for every second row: none of them is another's.
         let error = said(&path(&|k| drives(k) + if k % 2 == 0 { 0.0 } else { 3.0 })).unwrap_err().to_string();
         assert!(error.contains("to and fro, 199 times, by up to 3.02 m: poses of two robots?"), "{error}");

@@ -1,0 +1,82 @@
+//! Whether a log and a trajectory tell the same times all along.
+
+use super::{JoinBy, Options};
+use crate::motion::pose::{Gap, Trajectory};
+use crate::source::survey::{HostSteps, SET_US, Survey};
+
+impl Survey {
+    /// In words, if the clock of the host or that of `trajectory` was set during a run of both and the other one was not: poses of
+    /// one part are then of other times. Not if poses are joined row by row.
+    #[must_use]
+    pub fn clocks_part(&self, trajectory: &Trajectory, options: &Options) -> Option<String> {
+        let offset_s = options.clock_offset_s;
+        let (first_us, last_us) = self.host_us.filter(|_| options.join == JoinBy::Time)?;
+        let HostSteps { set, furthest_us, before_us, .. } = self.host_steps;
+        let s = |us: i64| us as f64 * 1e-6;
+        let (from_s, to_s) = trajectory.span_s();
+        if set > 0 {
+            let longest_s = || trajectory.gaps().iter().map(|gap| gap.to_s - gap.from_s).fold(0.0, f64::max);
+            let own_s = if furthest_us < 0 { trajectory.back_s() } else { longest_s() };
+            let both = [before_us, before_us.saturating_add(furthest_us)].map(|us| s(us) + offset_s);
+            let is_inside = both.iter().all(|t_s| (from_s..=to_s).contains(t_s));
+            return (is_inside && own_s < s(furthest_us).abs() - s(SET_US)).then(|| {
+                format!(
+                    "the host's clock was set by {:+.3} s, {:.1} s after the first record, and the trajectory's was not: one part of \
+                     the log has poses of other times (`export --dat` with --from or --to takes a part)",
+                    s(furthest_us),
+                    s(before_us.saturating_sub(first_us))
+                )
+            });
+        }
+        // Of a host's clock shorter steps are not seen.
+        let is_long = |gap: &Gap| gap.to_s - gap.from_s > 1.2 * s(SET_US);
+        let is_inside = |gap: &Gap| s(first_us) + offset_s < gap.from_s && gap.to_s < s(last_us) + offset_s;
+        let gap = trajectory.set_on().into_iter().find(|gap| is_long(gap) && is_inside(gap))?;
+        Some(format!(
+            "the trajectory's clock was set on by {:.3} s at {:.3} s, where the robot drives on as if no time had passed, and the \
+             host's was not: poses of one part are of other times (use the rows on one side)",
+            gap.to_s - gap.from_s,
+            gap.from_s
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::pose::Pose;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn a_clock_that_was_set_while_the_other_was_not_is_told() {
+        let channel = "108".parse().unwrap();
+        // 20 s at 100 Hz, round a circle; both clocks begin at 1,000 s, and are set at 8 s.
+        let told = |(host_s, path_s, stands): (f64, f64, bool), options: &Options| {
+            let mut survey = Survey::default();
+            for k in 0..2_000_u32 {
+                let host_us = 1_000_000_000 + 10_000 * i64::from(k) + if k < 800 { 0 } else { (host_s * 1e6) as i64 };
+                survey.host_steps.note(10_000 * k, Some(host_us));
+                let (first_us, _) = survey.host_us.unwrap_or((host_us, host_us));
+                survey.host_us = Some((first_us, host_us));
+            }
+            let pose = |k: u32| {
+                let way = 0.005 * f64::from(if stands { k.max(1_000) } else { k });
+                let t_s = 1_000.0 + 0.01 * f64::from(k) + if k < 800 { 0.0 } else { path_s };
+                Pose { t_s, position_m: Vector3::new(way.cos(), way.sin(), 0.0), heading_rad: None }
+            };
+            survey.clocks_part(&Trajectory::new((0..2_000).map(pose).collect()).unwrap(), options)
+        };
+        let plain = Options::new(channel);
+        let is_told = |host_s: f64, path_s: f64| told((host_s, path_s, false), &plain);
+        assert_eq!([is_told(0.0, 0.0), is_told(5.0, 5.0), is_told(-5.0, -5.0)], [const { None }; 3]);
+        for set_s in [5.0, -5.0] {
+            let words = is_told(set_s, 0.0).unwrap();
+            assert!(words.starts_with(&format!("the host's clock was set by {set_s:+.3} s, 8.0 s after")), "{words}");
+        }
+        assert!(is_told(0.0, 5.0).unwrap().starts_with("the trajectory's clock was set on by 5.010 s at 1007.990 s"));
+        // A robot that stood in the gap; poses of another day, which no record has; rows.
+        assert_eq!(told((0.0, 5.0, true), &plain), None);
+        assert_eq!(told((5.0, 0.0, false), &Options { clock_offset_s: -86_400.0, ..Options::new(channel) }), None);
+        assert_eq!(told((5.0, 0.0, false), &Options { join: JoinBy::Row, ..Options::new(channel) }), None);
+    }
+}
