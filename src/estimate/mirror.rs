@@ -3,10 +3,11 @@
 //! Over the positions `p` the phases of the two differ by `4 pi g (u.n) (n.p) / lambda`, by the motion's depth along the normal
 //! `n` and nothing else. An error of the odometry of the size of that depth, with its course, makes one into the other. So of
 //! the posterior of each direction the share `1 / (1 + e^D)` belongs to its reflection, with `1 / D = 1 / L + s^2 / (2 h^2)`
-//! for an odometry error of `s` and a depth of `h` (root mean squares) and the logarithm `L` of the likelihood ratio of the
+//! for an odometry error of `s`, a depth of `h` beyond it (root mean squares) and the logarithm `L` of the likelihood ratio of the
 //! two. The posterior of windows holds `L` by itself. A heading that drifts bends a straight path to both sides, so `s` holds the
 //! bend, too.
 
+use super::farthest_m;
 use super::likelihood::Place;
 use super::posterior::{Atom, Mode, Steps, add, settle};
 use super::prior::Prior;
@@ -55,9 +56,8 @@ struct Plane {
 
 impl Plane {
     fn across(normal: Vector3<f64>, points: &[Vector3<f64>], odometry: Odometry) -> Self {
-        let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
         let depth2 = points.iter().map(|p| normal.dot(p).powi(2)).sum::<f64>() / points.len().max(1) as f64;
-        Self { normal, depth2, error2: odometry.error2(&normal, radius_m) }
+        Self { normal, depth2, error2: odometry.error2(&normal, farthest_m(points)) }
     }
 }
 
@@ -101,6 +101,7 @@ fn reflected(place: &Place, normal: &Vector3<f64>, signed: bool) -> Place {
 
 /// The share of a reflection.
 fn share(log_ratio: f64, plane: &Plane) -> f64 {
+    // Noise of the odometry looks like depth.
     let true_depth2 = (plane.depth2 - plane.error2).max(1e-18);
     let by_shape = plane.error2 / (2.0 * true_depth2);
     let against = 1.0 / (1.0 / log_ratio.max(1e-9) + by_shape);

@@ -246,7 +246,8 @@ struct Model {
 }
 
 impl Model {
-    fn of(self, task: &Task<'_>) -> Self {
+    /// The same, with what the odometry's error leaves of its shape.
+    fn with_line(self, task: &Task<'_>) -> Self {
         let is_line = !self.prior.is_signed() && mirror::is_line(&self.points, task.odometry());
         Self { is_line, ..self }
     }
@@ -275,6 +276,11 @@ fn steps(points: &[Vector3<f64>], samples: &Samples, prior: &Prior) -> Steps {
 fn radius_m(points: &[Vector3<f64>]) -> f64 {
     let middle = points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
     points.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max)
+}
+
+/// How far a motion reaches from its middle, metres; `points` are about it.
+fn farthest_m(points: &[Vector3<f64>]) -> f64 {
+    points.iter().map(|p| p.norm()).fold(0.0, f64::max)
 }
 
 /// Displacements about their mean, and the mean, metres.
@@ -311,8 +317,10 @@ pub(crate) fn estimate(
         Reach::Low => &[false, true],
         Reach::Tall => &[true],
     };
-    let models: Vec<Model> =
-        signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, (reach, signed)).of(task)).collect();
+    let models: Vec<Model> = signs
+        .iter()
+        .map(|&signed| Model::new(&points, samples, &task.limits, (reach, signed)).with_line(task))
+        .collect();
     let bins = Bins::along(&models[0].points, samples.wavelength_m());
     let means = bins.means(samples, &points);
     let mut searcher = Searcher::new(task.tier);
@@ -385,7 +393,7 @@ fn widen(modes: &mut [Mode], Model { points, prior, is_line, .. }: &Model, task:
         let by_stretch = elevation_by(stretch, &mode.place, points, prior.is_signed());
         mode.covariance[(1, 1)] += model_rad * model_rad + by_stretch * by_stretch;
         if *is_line {
-            // Errors of the path count the less, the steeper the place.
+            // What seems to tell the elevation are errors of the path: they count the less, the steeper the place.
             mode.covariance[(1, 1)] = mode.covariance[(1, 1)].max(prior.deviations()[0].powi(2));
         }
     }
@@ -411,9 +419,9 @@ fn elevation_by(stretch: f64, place: &Place, points: &[Vector3<f64>], signed: bo
 /// Widens ranges by a bend of the path: what turns the azimuth by an angle `d` across the motion changes 1 / range by
 /// `2 d / radius`.
 fn bend(modes: &mut [Mode], points: &[Vector3<f64>], bend_rad: f64) {
-    let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
+    let radius_m = farthest_m(points).max(f64::MIN_POSITIVE);
     for mode in modes {
-        mode.covariance[(2, 2)] += (2.0 * bend_rad / radius_m.max(f64::MIN_POSITIVE)).powi(2);
+        mode.covariance[(2, 2)] += (2.0 * bend_rad / radius_m).powi(2);
     }
 }
 
@@ -452,10 +460,9 @@ impl Windowed {
         let is_nearer = at_limit || strongest.is_some_and(|place| place.curve > prior.curve_max);
         // Only heights beyond a drift are evidence of a rare elevation. Errors of a level path count the less, the steeper the place:
         // steep ones always seem to explain more.
-        let [tall_m, radius_m] =
-            points.iter().fold([0.0; 2], |[z, r]: [f64; 2], p| [z.max(p.z.abs()), r.max(p.norm())]);
+        let tall_m = points.iter().map(|p| p.z.abs()).fold(0.0, f64::max);
         let is_steeper = prior.is_signed()
-            && tall_m > 2.0 * task.bend_rad * radius_m
+            && tall_m > 2.0 * task.bend_rad * farthest_m(points)
             && strongest.is_some_and(|place| place.elevation.abs() > prior.elevation_rad[1]);
         let mut wider = *prior;
         if is_nearer && task.limits.range_min_m.is_none() {
@@ -472,8 +479,7 @@ impl Windowed {
 
 /// 1 / range of a place as far from the middle as so many radii of the motion, 1/m.
 fn nearest_curve(points: &[Vector3<f64>], radii: f64, wavelength_m: f64) -> f64 {
-    let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
-    1.0 / (radii * radius_m).max(wavelength_m)
+    1.0 / (radii * farthest_m(points)).max(wavelength_m)
 }
 
 /// The best plane wave within the expected elevations.

@@ -33,7 +33,7 @@ const SIDE: usize = 12;
 const REACH: f64 = 4.0;
 /// Steps between these azimuths at most, radians: then they are the whole circle.
 const WIDEST: f64 = TAU / (2 * SIDE + 1) as f64;
-/// Elevations that a motion does not distinguish are looked at in so many steps.
+/// Steps over the elevations that a motion does not distinguish.
 const ELEVATIONS: usize = 12;
 /// `ln` of how many times less likely another direction has to be.
 const DECISIVE: f64 = 12.0;

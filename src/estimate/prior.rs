@@ -85,7 +85,7 @@ impl Prior {
         if prior.elevation_is_open() { prior.with_expected_elevations() } else { prior }
     }
 
-    /// `ln` of how many times less probable a place is than an expected one, which these limits contain.
+    /// `ln` of a place's prior odds against an expected one, which these limits contain: at most 0.
     pub fn log_odds(&self, place: &Place) -> f64 {
         let nearer = if place.curve > self.curve_max { NEARER.ln() } else { 0.0 };
         let steeper = self.elevation_is_open() && place.elevation.abs() > self.expected_rad + 1e-9;

@@ -5,8 +5,8 @@ use crate::motion::pose::{Gap, Trajectory};
 use crate::source::survey::{HostSteps, SET_US, Survey};
 
 impl Survey {
-    /// In words, if the clock of the host or that of `trajectory` was set during a run of both and the other one was not: poses of
-    /// one part are then of other times. Not if poses are joined row by row.
+    /// In words, if the host's clock or the trajectory's was set while both ran and the other was not: one part of the log then has
+    /// poses of other times. `None` if poses are joined row by row.
     #[must_use]
     pub fn clocks_part(&self, trajectory: &Trajectory, options: &Options) -> Option<String> {
         let offset_s = options.clock_offset_s;
