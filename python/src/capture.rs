@@ -267,9 +267,10 @@ pub fn one_log(
     }
     let options = Options { keep_course: true, ..keywords.options()? };
     let array = array(letters, &baselines)?;
+    let array = if keywords.antenna_offset.is_some() { array.on_trajectory() } else { array };
     let stop = Stop::default();
     let mut log = Stoppable { source: source(rx, &stop)?, stop: stop.clone() };
-    let own = trajectory(path, keywords.columns()?.as_ref())?;
+    let own = keywords.of_antenna(trajectory(path, keywords.columns()?.as_ref())?)?;
     let (report, options, parted) = interruptible(py, &stop, move || {
         let report = estimate_one_log(&mut log, &own, &array, &options);
         let report = report.map_err(|error| Failure::new(Kind::Capture, error))?;

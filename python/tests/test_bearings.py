@@ -280,8 +280,8 @@ def test_one_log_has_the_bearing_of_every_sender() -> None:
             csi5300.bearings(room["rx"].log, baseline=wrong, **still)
     with pytest.raises(csi5300.CaptureError, match="no record has the CSI of all named antennas"):
         csi5300.bearings(room["rx"].log[:0], baseline=(0.025, 0, 0), **still)
-    of_two_robots: dict[str, Any] = {"antenna_offset": (0, 0, 1), "range_change": True, "range_min": 2.0, "no_compensation": True}
-    for name, value in (of_two_robots | {"without": ["near-field"]}).items():
+    of_two_robots: dict[str, Any] = {"camera_mount": (0, 0, 1), "range_change": True, "range_min": 2.0, "no_compensation": True}
+    for name, value in (of_two_robots | {"without": ["alignment"]}).items():
         with pytest.raises(csi5300.OptionError, match=f"{name}: not allowed with baseline"):
             csi5300.bearings(room["rx"].log, baseline=(0.025, 0, 0), **still, **{name: value})
 

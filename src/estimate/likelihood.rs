@@ -15,6 +15,7 @@ use csi5300_kernels::simd::{V, on_tier, sin_cos_turns};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, f32x8};
 use nalgebra::Vector3;
 use num_complex::Complex64;
+use std::ops::Range;
 
 /// Lanes of the widest vector: `f32` of 512 bits.
 pub(crate) const WIDEST: usize = 16;
@@ -45,23 +46,59 @@ impl Place {
             bend / ((1.0 + curve * bend).max(0.0).sqrt() + 1.0)
         }
     }
+}
 
-    /// The share of the samples' power that a wave from it explains; `points` are those of the samples about their middle, metres.
-    pub fn explained(&self, samples: &Samples, points: &[Vector3<f64>]) -> f64 {
-        let (kappa, way_m) = (samples.kappa(), self.ways_m());
-        let sum: Complex64 = samples.z().iter().zip(points).map(|(z, p)| z * Complex64::cis(kappa * way_m(p))).sum();
+/// A motion, as the ways along it are counted: to its points, from feet if there are any. The phases of the parts between `ends` have
+/// nothing in common; without ends, all is one part.
+#[derive(Clone, Copy)]
+pub(crate) struct Ways<'a> {
+    /// Displacements about the middle, metres.
+    pub points: &'a [Vector3<f64>],
+    pub feet: &'a [Vector3<f64>],
+    pub ends: &'a [usize],
+}
+
+impl<'a> Ways<'a> {
+    pub fn to(points: &'a [Vector3<f64>]) -> Self {
+        Self { points, feet: &[], ends: &[] }
+    }
+
+    /// A function of each point less that of its foot.
+    pub fn each<T: std::ops::Sub<Output = T>>(self, of: impl Fn(&Vector3<f64>) -> T) -> impl Iterator<Item = T> {
+        self.points.iter().enumerate().map(move |(k, point)| match self.feet.get(k) {
+            Some(foot) => of(point) - of(foot),
+            None => of(point),
+        })
+    }
+
+    /// The samples of each part.
+    pub fn parts(self) -> impl Iterator<Item = Range<usize>> {
+        let ends =
+            if self.ends.is_empty() { std::slice::from_ref(&self.points.len()).to_vec() } else { self.ends.to_vec() };
+        let starts = std::iter::once(0).chain(ends.clone());
+        starts.zip(ends).map(|(from, to)| from..to)
+    }
+
+    /// The share of the samples' power that a wave from a place explains.
+    pub fn explained(self, samples: &Samples, place: &Place) -> f64 {
+        let kappa = samples.kappa();
+        let turned: Vec<Complex64> = samples
+            .z()
+            .iter()
+            .zip(self.each(place.ways_m()))
+            .map(|(z, way_m)| z * Complex64::cis(kappa * way_m))
+            .collect();
+        let sum: f64 = self.parts().map(|part| turned[part].iter().sum::<Complex64>().norm()).sum();
         let full: f64 = samples.z().iter().map(|z| z.norm()).sum();
-        (sum.norm() / full).powi(2)
+        (sum / full).powi(2)
     }
 }
 
 /// A motion and its channels, ready for any place.
 pub(crate) struct Field {
-    /// Displacements from the middle and their squares, in wavelengths, with zeros up to whole vectors of any width.
-    x: Vec<f32>,
-    y: Vec<f32>,
-    z: Vec<f32>,
-    square: Vec<f32>,
+    points: Axes,
+    /// What ways are counted from, where that moves.
+    feet: Option<Axes>,
     apertures: Vec<Own>,
     /// Ends of the shortest windows, the first being 0.
     cuts: Vec<usize>,
@@ -69,6 +106,30 @@ pub(crate) struct Field {
     freedom: Vec<f64>,
     wavelength_m: f64,
     level: Level,
+}
+
+/// Displacements from the middle and their squares, in wavelengths, with zeros up to whole vectors of any width.
+#[derive(Default)]
+struct Axes {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    square: Vec<f32>,
+}
+
+impl Axes {
+    fn set(&mut self, points_m: &[Vector3<f64>], wavelength_m: f64) {
+        let whole = points_m.len().next_multiple_of(WIDEST);
+        let fill = |axis: &mut Vec<f32>, of: &dyn Fn(&Vector3<f64>) -> f64| {
+            axis.clear();
+            axis.extend(points_m.iter().map(|p| of(p) as f32));
+            axis.resize(whole, 0.0);
+        };
+        fill(&mut self.x, &|p| p.x / wavelength_m);
+        fill(&mut self.y, &|p| p.y / wavelength_m);
+        fill(&mut self.z, &|p| p.z / wavelength_m);
+        fill(&mut self.square, &|p| p.norm_squared() / (wavelength_m * wavelength_m));
+    }
 }
 
 struct Own {
@@ -88,50 +149,60 @@ impl Field {
         lengths: usize,
         tier: Tier,
     ) -> Self {
-        let count = points_m.len();
-        let path_m: f64 = points_m.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-        // A motion longer than stays coherent is more than one of the longest windows.
-        let longest = (path_m / tuning::COHERENT_M).ceil().max(1.0) as usize;
-        let blocks = (longest << (lengths - 1)).min(count.max(1));
-        let cuts: Vec<usize> = (0..=blocks).map(|k| (k * count + blocks / 2) / blocks).collect();
+        let mut field =
+            Self::over(&[points_m], apertures, wavelength_m, independent, lengths, tier.level_or_portable());
+        field.set_points(points_m);
+        field
+    }
+
+    /// The same of an array on a robot that drives.
+    pub fn of_array(ways: Ways<'_>, apertures: Vec<Aperture>, wavelength_m: f64, independent: f64, tier: Tier) -> Self {
+        let arms: Vec<Vector3<f64>> = ways.each(|p| *p).collect();
+        let parts: Vec<&[Vector3<f64>]> = ways.parts().map(|part| &arms[part]).collect();
+        let level = tier.level_or_portable();
+        let mut field = Self::over(&parts, apertures, wavelength_m, independent, tuning::WINDOW_LENGTHS, level);
+        field.set_points(ways.points);
+        field.feet.get_or_insert_default().set(ways.feet, wavelength_m);
+        field
+    }
+
+    /// Channels and windows, without points.
+    fn over(
+        parts_m: &[&[Vector3<f64>]],
+        apertures: Vec<Aperture>,
+        wavelength_m: f64,
+        independent: f64,
+        lengths: usize,
+        level: Level,
+    ) -> Self {
+        let mut cuts = vec![0];
+        for part in parts_m {
+            let (from, count) = (cuts[cuts.len() - 1], part.len());
+            let path_m: f64 = part.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+            // A motion longer than stays coherent is more than one of the longest windows.
+            let longest = (path_m / tuning::COHERENT_M).ceil().max(1.0) as usize;
+            let blocks = (longest << (lengths - 1)).min(count.max(1));
+            cuts.extend((1..=blocks).map(|k| from + (k * count + blocks / 2) / blocks));
+        }
+        let blocks = cuts.len() - 1;
         let windows = |length: usize| blocks.div_ceil(1 << (lengths - 1 - length));
         let freedom = (0..lengths).map(|length| (independent - windows(length) as f64).max(0.0)).collect();
         let own = |aperture: Aperture| {
             let full = (0..lengths).map(|length| full(&aperture.energy, &cuts, 1 << (lengths - 1 - length))).collect();
             Own { aperture, full }
         };
-        let mut field = Self {
-            x: Vec::new(),
-            y: Vec::new(),
-            z: Vec::new(),
-            square: Vec::new(),
-            apertures: apertures.into_iter().map(own).collect(),
-            cuts,
-            freedom,
-            wavelength_m,
-            level: tier.level_or_portable(),
-        };
-        field.set_points(points_m);
-        field
+        let apertures = apertures.into_iter().map(own).collect();
+        Self { points: Axes::default(), feet: None, apertures, cuts, freedom, wavelength_m, level }
     }
 
     /// The same channels and windows along other points.
     pub fn set_points(&mut self, points_m: &[Vector3<f64>]) {
-        let (wavelength_m, whole) = (self.wavelength_m, points_m.len().next_multiple_of(WIDEST));
-        let fill = |axis: &mut Vec<f32>, of: &dyn Fn(&Vector3<f64>) -> f64| {
-            axis.clear();
-            axis.extend(points_m.iter().map(|p| of(p) as f32));
-            axis.resize(whole, 0.0);
-        };
-        fill(&mut self.x, &|p| p.x / wavelength_m);
-        fill(&mut self.y, &|p| p.y / wavelength_m);
-        fill(&mut self.z, &|p| p.z / wavelength_m);
-        fill(&mut self.square, &|p| p.norm_squared() / (wavelength_m * wavelength_m));
+        self.points.set(points_m, self.wavelength_m);
     }
 
     /// `ln L` of each place.
     pub fn log_likelihoods(&self, places: &[Place]) -> Vec<f64> {
-        let mut work = Work::new(self.x.len(), self.cuts.len());
+        let mut work = Work::new(self.points.x.len(), self.cuts.len());
         let mut rho = vec![0.0; self.apertures.len() * self.freedom.len()];
         let mut log_of = |place: &Place| {
             on_tier!(self.level, simd => self.shares(simd, place, &mut work, &mut rho));
@@ -145,11 +216,11 @@ impl Field {
     pub fn powers(&self, z: &[Complex64], path_gain: u8, places: &[Place], blocks: usize) -> Vec<f64> {
         let part = |of: fn(&Complex64) -> f64| {
             let mut part: Vec<f32> = z.iter().map(|z| of(z) as f32).collect();
-            part.resize(self.x.len(), 0.0);
+            part.resize(self.points.x.len(), 0.0);
             part
         };
         let (re, im) = (part(|z| z.re), part(|z| z.im));
-        let mut work = Work::new(self.x.len(), self.cuts.len());
+        let mut work = Work::new(self.points.x.len(), self.cuts.len());
         let points = blocks.saturating_mul(WIDEST);
         let mut power = |place: &Place| {
             on_tier!(self.level, simd => {
@@ -206,17 +277,17 @@ impl Field {
     fn steer<S: Simd>(&self, simd: S, place: &Place, work: &mut Work) {
         let ((sin_a, cos_a), (sin_e, cos_e)) = (place.azimuth.sin_cos(), place.elevation.sin_cos());
         let splat = |value: f64| V::<S, f32>::splat(simd, value as f32);
-        let (ux, uy, uz) = (splat(-2.0 * cos_e * cos_a), splat(-2.0 * cos_e * sin_a), splat(-2.0 * sin_e));
+        let towards = [splat(-2.0 * cos_e * cos_a), splat(-2.0 * cos_e * sin_a), splat(-2.0 * sin_e)];
         let (curve, one) = (splat(place.curve * self.wavelength_m), splat(1.0));
         let lanes = V::<S, f32>::LEN;
-        let count = self.x.len();
+        let count = self.points.x.len();
         let mut from = 0;
         while from < count {
-            let load = |values: &[f32]| V::<S, f32>::from_slice(simd, &values[from..from + lanes]);
-            let along = load(&self.x).mul_add(ux, load(&self.y).mul_add(uy, load(&self.z) * uz));
-            let bend = load(&self.square).mul_add(curve, along);
-            let ratio = curve.mul_add(bend, one).max(splat(0.0)).sqrt();
-            let (sin, cos) = sin_cos_turns::<S, f32>(simd, bend / (ratio + one));
+            let mut turns = way(simd, &self.points, from, towards, curve);
+            if let Some(feet) = &self.feet {
+                turns -= way(simd, feet, from, towards, curve);
+            }
+            let (sin, cos) = sin_cos_turns::<S, f32>(simd, turns);
             let twice_sin = sin * cos;
             (cos).store_slice(&mut work.cos[from..from + lanes]);
             (sin).store_slice(&mut work.sin[from..from + lanes]);
@@ -225,6 +296,17 @@ impl Field {
             from += lanes;
         }
     }
+}
+
+/// By how much ways to points from `from` on are longer than to the middle, wavelengths; `towards` is -2 times the unit vector.
+#[inline(always)]
+fn way<S: Simd>(simd: S, axes: &Axes, from: usize, towards: [V<S, f32>; 3], curve: V<S, f32>) -> V<S, f32> {
+    let load = |values: &[f32]| V::<S, f32>::from_slice(simd, &values[from..from + V::<S, f32>::LEN]);
+    let ([x, y, z], one) = (towards, V::<S, f32>::splat(simd, 1.0));
+    let along = load(&axes.x).mul_add(x, load(&axes.y).mul_add(y, load(&axes.z) * z));
+    let bend = load(&axes.square).mul_add(curve, along);
+    let ratio = curve.mul_add(bend, one).max(V::<S, f32>::splat(simd, 0.0)).sqrt();
+    bend / (ratio + one)
 }
 
 /// `sum over windows of (samples in it) (energy in it)`: what a wave that explains everything would give.

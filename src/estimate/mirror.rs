@@ -8,7 +8,7 @@
 //! bend, too.
 
 use super::farthest_m;
-use super::likelihood::Place;
+use super::likelihood::{Place, Ways};
 use super::posterior::{Atom, Mode, Steps, add, settle};
 use super::prior::Prior;
 use crate::maths::wrap_rad;
@@ -123,13 +123,13 @@ pub(super) fn mix(
 /// The same of one wave: `L` is that of independent samples.
 pub(super) fn of_one_wave(
     modes: &mut Vec<Mode>,
-    samples: &Samples,
+    (samples, ways): (&Samples, Ways<'_>),
     points: &[Vector3<f64>],
     prior: &Prior,
     steps: &Steps,
     odometry: Odometry,
 ) -> Mirrored {
-    let unexplained = |place: &Place| (1.0 - place.explained(samples, points)).max(1e-9);
+    let unexplained = |place: &Place| (1.0 - ways.explained(samples, place)).max(1e-9);
     let shares = |place: &Place, plane: &Plane| {
         let image = reflected(place, &plane.normal, prior.is_signed());
         let ratio = samples.len() as f64 * (unexplained(&image) / unexplained(place)).ln();

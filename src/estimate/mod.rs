@@ -30,7 +30,7 @@ use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::Planes;
 use crate::signal::samples::Samples;
 pub(crate) use combine::both;
-use likelihood::{Field, Place};
+use likelihood::{Field, Place, Ways};
 use nalgebra::Vector3;
 pub use odometry::{OdometryError, OdometryFit};
 use one_wave::Heard;
@@ -39,7 +39,8 @@ use posterior::{Blur, Mode, Steps, half_width, mass_within};
 use prior::{Limits, Prior};
 pub use range_change::{NoRangeChange, RangeChange};
 use signal::{Aperture, Bins, align, is_dense_enough, remove_slope, take_roots};
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
+use tuning::{FARTHEST, NEAREST_M};
 
 /// Heights that turn a wave from the expected elevations by less than a quarter of a turn show no elevation: half the
 /// motion's height, in turns of phase.
@@ -52,6 +53,8 @@ const LARGE_SHARE: f64 = 0.5;
 /// Nearest places that a motion leaves free, in its radii: outside, and where the motion goes around the transmitter.
 const OUTSIDE: f64 = 1.2;
 const INSIDE: f64 = 0.2;
+/// A phase that a parallax changes by less shows none, radians.
+const SAME_DIRECTION_RAD: f64 = 0.5;
 /// From this accuracy on the grid alone will do, radians: of 71 WSR links it moves the azimuth by 1.1 degrees in the median, 2.5 at most.
 pub(crate) const COARSE_RAD: f64 = 0.052;
 
@@ -69,6 +72,11 @@ pub mod heading {
     pub const WHEELS_RAD: f64 = sensor::WHEELS_DEG.to_radians();
     /// Wheels, where it is not.
     pub const UNMOUNTED_RAD: f64 = sensor::UNMOUNTED_DEG.to_radians();
+
+    /// Standard deviation of a path's scale: what turns a path by an angle stretches it by about as much.
+    pub(crate) fn scale_sd(bend_rad: f64) -> f64 {
+        sensor::SCALE.hypot(bend_rad)
+    }
 
     /// By how much a path bends, radians: a heading that drifts bends it by about as much as it turns it. Motion capture's does not
     /// drift; its deviation is that of its axes.
@@ -88,16 +96,50 @@ pub(crate) struct Task<'a> {
     pub heading_sd_rad: f64,
     /// By how much the path bends, radians ([`heading::bend_rad`]).
     pub bend_rad: f64,
+    /// Standard deviation of the path's scale.
+    pub scale_sd: f64,
     pub effort: Effort,
     pub align: bool,
     pub one_way: bool,
     pub tier: Tier,
+    /// Of an array whose robot drives: where it is meanwhile.
+    pub drive: Option<&'a Drive>,
+}
+
+/// An array on a robot that drives: its samples hold the way to an end of a baseline less the way to its foot, and what both have in
+/// common as the robot drives tells the range.
+pub(crate) struct Drive {
+    /// Ends and feet of the baselines at each sample about the middle of the feet, metres.
+    pub ends_m: Vec<Vector3<f64>>,
+    pub feet_m: Vec<Vector3<f64>>,
+    /// Where the samples of each baseline end whose phase is its own.
+    pub parts: Vec<usize>,
+}
+
+impl Drive {
+    /// Whether the directions from all places are one, as far as the samples of baselines this long can tell; they reach `more_m`
+    /// beyond these places.
+    pub fn is_short(places_m: &[Vector3<f64>], (longest_m, more_m): (f64, f64), wavelength_m: f64) -> bool {
+        let parallax_rad = radius_m(places_m).max(more_m) / NEAREST_M;
+        TAU * longest_m * parallax_rad < wavelength_m * SAME_DIRECTION_RAD
+    }
+
+    fn ways(&self) -> Ways<'_> {
+        Ways { points: &self.ends_m, feet: &self.feet_m, ends: &self.parts }
+    }
+
+    /// The ends of baselines as the samples tell places apart, metres: driving past a transmitter turns them.
+    fn probe_m(&self) -> Vec<Vector3<f64>> {
+        let arms = || self.ends_m.iter().zip(&self.feet_m).map(|(end, foot)| (end - foot, foot));
+        let by_parallax = arms().map(|(arm, _)| arm.norm()).fold(0.0, f64::max) / NEAREST_M;
+        arms().map(|(arm, foot)| arm + foot * by_parallax).collect()
+    }
 }
 
 impl Task<'_> {
-    /// Standard deviation of the path's scale: what turns a path by an angle stretches it by about as much.
-    fn scale_sd(&self) -> f64 {
-        tuning::sensor::SCALE.hypot(self.bend_rad)
+    /// The ways of a motion, and how far it reaches for places to be near it.
+    fn ways<'b>(&'b self, points: &'b [Vector3<f64>]) -> (Ways<'b>, &'b [Vector3<f64>]) {
+        self.drive.map_or((Ways::to(points), points), |drive| (drive.ways(), &drive.ends_m))
     }
 
     fn odometry(&self) -> mirror::Odometry {
@@ -143,6 +185,8 @@ pub struct Risk {
 pub enum Reason {
     /// [`Effort::Everything`].
     Asked,
+    /// The antennas of one log are on a robot that drives: the direction changes on the way.
+    Drives,
     /// One wave is not the whole answer.
     Unexplained(Unexplained),
 }
@@ -151,6 +195,7 @@ impl std::fmt::Display for Reason {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Asked => f.write_str("everything was asked for"),
+            Self::Drives => f.write_str("the robot drives, so the direction changes on the way"),
             Self::Unexplained(unexplained) => unexplained.fmt(f),
         }
     }
@@ -184,6 +229,12 @@ impl Found {
     fn centres(&self) -> Vec<f64> {
         let mirror = self.mirror.and_then(|k| self.modes.get(k));
         self.modes.first().into_iter().chain(mirror).map(|mode| mode.place.azimuth).collect()
+    }
+
+    /// The 1 / range of the first mode, or where the waves were plane that of the prior on average, 1/m.
+    pub fn expected_curve(&self) -> f64 {
+        let known = self.modes.first().map_or(0.0, |mode| mode.place.curve);
+        if self.prior.curve_max > 0.0 { known } else { (1.0 - 1.0 / FARTHEST) / (NEAREST_M * FARTHEST.ln()) }
     }
 
     /// Half width that holds a share of the probability, radians; where the motion hides a mirror, about the nearer of the
@@ -252,24 +303,31 @@ impl Model {
         Self { is_line, ..self }
     }
 
-    fn new(points: &[Vector3<f64>], samples: &Samples, limits: &Limits, (reach, signed): (Reach, bool)) -> Self {
+    fn new(
+        points: &[Vector3<f64>],
+        samples: &Samples,
+        limits: &Limits,
+        drive: Option<&Drive>,
+        (reach, signed): (Reach, bool),
+    ) -> Self {
         let flat = |p: &Vector3<f64>| if signed { *p } else { Vector3::new(p.x, p.y, 0.0) };
         let points: Vec<Vector3<f64>> = points.iter().map(flat).collect();
         let prior = Prior::new(limits, signed);
         // Heights that may be a drift are no evidence of a rare elevation.
         let prior = if reach == Reach::Low { prior.with_expected_elevations() } else { prior };
-        let steps = steps(&points, samples, &prior);
+        let steps = steps(&points, samples, drive, &prior);
         Self { points, prior, steps, is_line: false }
     }
 }
 
 /// The density of a search over these points.
-fn steps(points: &[Vector3<f64>], samples: &Samples, prior: &Prior) -> Steps {
+fn steps(points: &[Vector3<f64>], samples: &Samples, drive: Option<&Drive>, prior: &Prior) -> Steps {
     let path_m: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
     let windows = (path_m / tuning::COHERENT_M).ceil().max(1.0) as usize;
     let widest = points.chunks(points.len().div_ceil(windows).max(1)).map(radius_m).fold(0.0, f64::max);
     let tall = points.iter().map(|p| p.z.abs()).fold(0.0, f64::max);
-    Steps::new((radius_m(points), widest, tall), samples.wavelength_m(), samples.path_gain(), prior)
+    let steps = Steps::new((radius_m(points), widest, tall), samples.wavelength_m(), samples.path_gain(), prior);
+    drive.map_or(steps, |drive| steps.with_parallax(radius_m(&drive.feet_m)))
 }
 
 /// The largest distance of points from their mean, metres.
@@ -293,7 +351,7 @@ fn about_middle(samples: &Samples) -> (Vec<Vector3<f64>>, Vector3<f64>) {
 pub(crate) fn is_searchable(points_m: &[Vector3<f64>], wavelength_m: f64, path_gain: u8, limits: &Limits) -> bool {
     let Ok(samples) = Samples::new(wavelength_m, path_gain) else { return false };
     let reach = Reach::of(points_m, wavelength_m / f64::from(path_gain));
-    let model = Model::new(points_m, &samples, limits, (reach, reach == Reach::Tall));
+    let model = Model::new(points_m, &samples, limits, None, (reach, reach == Reach::Tall));
     model.steps.are_affordable(Bins::along(&model.points, wavelength_m).len(), &model.prior)
 }
 
@@ -319,19 +377,20 @@ pub(crate) fn estimate(
     };
     let models: Vec<Model> = signs
         .iter()
-        .map(|&signed| Model::new(&points, samples, &task.limits, (reach, signed)).with_line(task))
+        .map(|&signed| Model::new(&points, samples, &task.limits, task.drive, (reach, signed)).with_line(task))
         .collect();
-    let bins = Bins::along(&models[0].points, samples.wavelength_m());
+    let probe = task.drive.map(Drive::probe_m);
+    let bins = Bins::along(probe.as_ref().unwrap_or(&models[0].points), samples.wavelength_m());
     let means = bins.means(samples, &points);
     let mut searcher = Searcher::new(task.tier);
     let plane_wave = plane_wave(task, &mut searcher, &models, means.as_ref())?;
-    let few = means.as_ref().map(|means| (means, &bins));
+    let few = means.as_ref().filter(|_| task.drive.is_none()).map(|means| (means, &bins));
     let mut reason = match early(task, &models, few, (&plane_wave, None), middle_m) {
         Ok(found) => return Ok(found),
         Err(reason) => reason,
     };
     // Near or steep, a wave does not show as a plane one at expected elevations.
-    let hidden = reason != Reason::Asked && plane_wave.coherence.powi(2) < LARGE_SHARE;
+    let hidden = !matches!(reason, Reason::Asked | Reason::Drives) && plane_wave.coherence.powi(2) < LARGE_SHARE;
     let strongest = models.last().filter(|_| hidden).and_then(|model| strongest(task, model));
     if strongest.is_some() {
         match early(task, &models, few, (&plane_wave, strongest), middle_m) {
@@ -379,7 +438,7 @@ pub(crate) fn estimate(
         prior: model.prior,
         slope_sd_rad,
         middle_m,
-        scale_sd: task.scale_sd(),
+        scale_sd: task.scale_sd,
     })
 }
 
@@ -388,7 +447,7 @@ pub(crate) fn estimate(
 fn widen(modes: &mut [Mode], Model { points, prior, is_line, .. }: &Model, task: &Task<'_>) {
     // Half the width that holds 68 % of a Cauchy density, in units of its scale.
     let model_rad = 1.84 * tuning::MODEL_DEG.to_radians();
-    let stretch = model_rad.hypot(task.scale_sd());
+    let stretch = model_rad.hypot(task.scale_sd);
     for mode in &mut *modes {
         let by_stretch = elevation_by(stretch, &mode.place, points, prior.is_signed());
         mode.covariance[(1, 1)] += model_rad * model_rad + by_stretch * by_stretch;
@@ -425,9 +484,25 @@ fn bend(modes: &mut [Mode], points: &[Vector3<f64>], bend_rad: f64) {
     }
 }
 
+impl Drive {
+    fn field(&self, task: &Task<'_>, bins: &Bins, apertures: &[Aperture]) -> Field {
+        let [ends, feet] = [&self.ends_m, &self.feet_m].map(|points| bins.points_m(points));
+        let arms: Vec<Vector3<f64>> = ends.iter().zip(&feet).map(|(end, foot)| end - foot).collect();
+        let parts: Vec<usize> = self.parts.iter().map(|end| end.checked_sub(1).map_or(0, |k| bins.of[k] + 1)).collect();
+        let path_m: f64 = arms.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+        let wavelength_m = task.samples.wavelength_m();
+        let independent = (2.0 * path_m / wavelength_m).min(bins.len() as f64);
+        let ways = Ways { points: &ends, feet: &feet, ends: &parts };
+        Field::of_array(ways, apertures.to_vec(), wavelength_m, independent, task.tier)
+    }
+}
+
 /// The likelihood over windows and channels for one model of the heights.
 fn field(task: &Task<'_>, bins: &Bins, model: &Model, apertures: &[Aperture]) -> Field {
     let (wavelength_m, gain) = (task.samples.wavelength_m(), f64::from(task.samples.path_gain()));
+    if let Some(drive) = task.drive {
+        return drive.field(task, bins, apertures);
+    }
     let points = bins.points_m(&model.points);
     let path_m: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
     // One sample in a quarter of the turn that the round trip makes is independent of the next.
@@ -455,7 +530,8 @@ impl Windowed {
         let Model { points, prior, .. } = &self.model;
         let curve = self.modes.first().map_or(0.0, |mode| mode.place.curve);
         let at_limit = prior.curve_max > 0.0 && curve > 0.9 * prior.curve_max;
-        let explains = |place: &Place| prior.at_height(*place).explained(task.samples, points) > LARGE_SHARE;
+        let (ways, reach) = task.ways(points);
+        let explains = |place: &Place| ways.explained(task.samples, &prior.at_height(*place)) > LARGE_SHARE;
         let strongest = strongest.filter(explains);
         let is_nearer = at_limit || strongest.is_some_and(|place| place.curve > prior.curve_max);
         // Only heights beyond a drift are evidence of a rare elevation. Errors of a level path count the less, the steeper the place:
@@ -466,12 +542,13 @@ impl Windowed {
             && strongest.is_some_and(|place| place.elevation.abs() > prior.elevation_rad[1]);
         let mut wider = *prior;
         if is_nearer && task.limits.range_min_m.is_none() {
-            wider = wider.with_curve_max(nearest_curve(points, OUTSIDE, task.samples.wavelength_m()));
+            let radii = if task.drive.is_some() { INSIDE } else { OUTSIDE };
+            wider = wider.with_curve_max(nearest_curve(reach, radii, task.samples.wavelength_m()));
         }
         if is_steeper && task.limits.elevation_max_rad.is_none() {
             wider = wider.with_any_elevation();
         }
-        let steps = steps(points, task.samples, &wider);
+        let steps = steps(points, task.samples, task.drive, &wider);
         let is_open = wider != *prior && steps.are_affordable(points.len(), &wider);
         is_open.then(|| Model { points: points.clone(), prior: wider, steps, is_line: self.model.is_line })
     }
@@ -506,13 +583,14 @@ fn strongest(task: &Task<'_>, model: &Model) -> Option<Place> {
     let means = Bins::for_start(&model.points, task.samples.wavelength_m()).samples(task.samples, &model.points)?;
     let points: Vec<Vector3<f64>> = means.displacements_m().collect();
     let place = start::anywhere(&means, &points, &prior, task.tier)?;
-    Some(one_wave::unwrapped(&means, &points, place, &prior, task.scale_sd()))
+    Some(one_wave::unwrapped(&means, &points, place, &prior, task.scale_sd))
 }
 
 /// The prior of a clean wave front, which shows a near place by itself, and unless motion is along a line a high one: only requested
 /// limits apply. `inside` are places that the motion goes around.
 fn free(task: &Task<'_>, Model { points, prior, is_line, .. }: &Model, inside: bool) -> Prior {
-    let nearest = nearest_curve(points, if inside { INSIDE } else { OUTSIDE }, task.samples.wavelength_m());
+    let nearest =
+        nearest_curve(task.ways(points).1, if inside { INSIDE } else { OUTSIDE }, task.samples.wavelength_m());
     let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
     let prior = if is_free { prior.with_curve_max(prior.curve_max.max(nearest)) } else { *prior };
     if task.limits.elevation_max_rad.is_none() && !is_line { prior.with_any_elevation() } else { prior }
@@ -527,11 +605,15 @@ fn early(
     start: (&bartlett::Estimate, Option<Place>),
     middle_m: Vector3<f64>,
 ) -> Result<Found, Reason> {
+    // A plane wave is no start of it.
+    if task.drive.is_some() && start.1.is_none() {
+        return Err(Reason::Drives);
+    }
     if task.effort == Effort::Everything {
         return Err(Reason::Asked);
     }
     let samples = task.samples;
-    let scale_sd = task.scale_sd();
+    let scale_sd = task.scale_sd;
     let false_alarm = one_wave::FALSE_ALARM / if means.is_some() { 2.0 } else { 1.0 };
     let mut failed = Reason::Unexplained(Unexplained::NoPlace);
     let mut found: Vec<(f64, Found)> = Vec::new();
@@ -540,17 +622,19 @@ fn early(
         let is_inside = start.1.is_some_and(|place| place.curve > outside.curve_max);
         let prior = if is_inside { free(task, model, true) } else { outside };
         let checked = means.map_or(Ok(()), |(samples, bins)| {
-            let heard = Heard { samples, points: &bins.points_m(&model.points), false_alarm, scale_sd };
+            let points = bins.points_m(&model.points);
+            let heard = Heard { samples, ways: Ways::to(&points), false_alarm, scale_sd };
             one_wave::alone(heard, start, &prior, &model.steps, task.tier).map(drop)
         });
-        let heard = Heard { samples, points: &model.points, false_alarm, scale_sd };
+        let heard = Heard { samples, ways: task.ways(&model.points).0, false_alarm, scale_sd };
         let explain = |prior, start| one_wave::explain(heard, start, prior, &model.steps, task.tier);
         match checked.and_then(|()| explain(&prior, start)) {
             Ok(one) => {
                 let expected = prior.expected(model.prior.curve_max);
                 let odds: f64 = one.modes.iter().map(|mode| expected.log_odds(&mode.place)).sum();
+                let nearest = start.1.filter(|_| task.drive.is_some()).map(|place| expected.nearest(place));
                 if odds < 0.0
-                    && let Ok(one) = explain(&expected, (start.0, None))
+                    && let Ok(one) = explain(&expected, (start.0, nearest))
                 {
                     found.push((one.log_likelihood, of_one_wave(task, model, expected, one, start.0, middle_m)));
                 }
@@ -587,7 +671,8 @@ fn of_one_wave(
     middle_m: Vector3<f64>,
 ) -> Found {
     let mut modes = one.modes;
-    let mirror = mirror::of_one_wave(&mut modes, task.samples, &model.points, &prior, &model.steps, task.odometry());
+    let heard = (task.samples, task.ways(&model.points).0);
+    let mirror = mirror::of_one_wave(&mut modes, heard, &model.points, &prior, &model.steps, task.odometry());
     bend(&mut modes, &model.points, task.bend_rad);
     Found {
         plane_wave: plane_wave.clone(),
@@ -600,7 +685,7 @@ fn of_one_wave(
         bound_rad: one.bound_rad,
         slope_sd_rad: None,
         middle_m,
-        scale_sd: task.scale_sd(),
+        scale_sd: task.scale_sd,
     }
 }
 

@@ -687,9 +687,11 @@ mod tests {
             odometry_sd_m: 0.003,
             heading_sd_rad: 0.0,
             bend_rad: 0.0,
+            scale_sd: heading::scale_sd(0.0),
             effort: Effort::Needed,
             align: true,
             one_way: true,
+            drive: None,
             tier: Tier::detect(),
         };
         let used: Vec<usize> = (0..poses.len()).collect();

@@ -7,7 +7,7 @@
 //! which are a wave of its direction: one that stays below a peak of `p` times what noise has on average moves the azimuth by
 //! at most `sqrt(2 p)` times the deviation that the noise leaves.
 
-use super::likelihood::Place;
+use super::likelihood::{Place, Ways};
 use super::posterior::{Atom, Mode, Steps, settle};
 use super::prior::{Cell, Prior};
 use super::start;
@@ -19,6 +19,7 @@ use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector3, Vector4};
 use num_complex::Complex64;
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt;
+use std::ops::{AddAssign, Div, SubAssign};
 
 /// Probability of a false alarm of a test: then the posterior over windows is computed needlessly.
 pub(crate) const FALSE_ALARM: f64 = 0.001;
@@ -113,7 +114,7 @@ struct Fit {
 /// The samples of a motion, for one wave.
 struct Wave<'a> {
     samples: &'a Samples,
-    points: &'a [Vector3<f64>],
+    ways: Ways<'a>,
     /// Radians for each metre of way.
     kappa: f64,
     prior: &'a Prior,
@@ -136,8 +137,7 @@ pub(crate) struct Alone<'a> {
 #[derive(Clone, Copy)]
 pub(crate) struct Heard<'a> {
     pub samples: &'a Samples,
-    /// Displacements of the samples about their middle, metres.
-    pub points: &'a [Vector3<f64>],
+    pub ways: Ways<'a>,
     /// Probability of a false alarm of each test.
     pub false_alarm: f64,
     /// Standard deviation of the path's scale.
@@ -181,7 +181,7 @@ pub(crate) fn explain(
 /// # Errors
 /// What else there is.
 pub(crate) fn alone<'a>(
-    Heard { samples, points, false_alarm, scale_sd }: Heard<'a>,
+    Heard { samples, ways, false_alarm, scale_sd }: Heard<'a>,
     (plane_wave, from): (&Estimate, Option<Place>),
     prior: &'a Prior,
     steps: &Steps,
@@ -193,12 +193,12 @@ pub(crate) fn alone<'a>(
     let kappa = samples.kappa();
     let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
     let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
-    let wave = Wave { samples, points, kappa, prior, open, scale_sd, unwraps: false };
+    let wave = Wave { samples, ways, kappa, prior, open, scale_sd, unwraps: false };
     let start_prior = if shows_elevation { *prior } else { prior.level() };
     let place = from
         .map(|place| prior.at_height(place))
-        .unwrap_or_else(|| start::beside(samples, points, plane_wave, &start_prior, steps, tier));
-    let share = place.explained(samples, points);
+        .unwrap_or_else(|| start::beside(samples, ways.points, plane_wave, &start_prior, steps, tier));
+    let share = ways.explained(samples, &place);
     if share < LEAST_SHARE {
         return Err(Unexplained::Faint(share));
     }
@@ -219,7 +219,8 @@ pub(crate) fn unwrapped(
     scale_sd: f64,
 ) -> Place {
     let open = Open([prior.elevation_is_open(), prior.curve_max > 0.0, false]);
-    let wave = Wave { samples, points, kappa: samples.kappa(), prior, open, scale_sd, unwraps: true };
+    let ways = Ways::to(points);
+    let wave = Wave { samples, ways, kappa: samples.kappa(), prior, open, scale_sd, unwraps: true };
     wave.settled(At { place: from, scale: 0.0 }).map_or(from, |fit| fit.at.place)
 }
 
@@ -229,8 +230,8 @@ type Gradient = Vector4<f64>;
 impl Wave<'_> {
     /// The phase of each sample's way, radians, less that of the middle.
     fn phases(&self, at: &At) -> impl Iterator<Item = f64> + '_ {
-        let (way_m, kappa) = (at.place.ways_m(), self.kappa * (1.0 + at.scale));
-        self.points.iter().map(move |p| kappa * way_m(p))
+        let kappa = self.kappa * (1.0 + at.scale);
+        self.ways.each(at.place.ways_m()).map(move |way_m| kappa * way_m)
     }
 
     /// How the phases go by each coordinate; 0 for those that are not open. Of level motion by the elevation's cosine.
@@ -256,23 +257,35 @@ impl Wave<'_> {
                 bend / (ratio + 1.0) * open(2),
             ) * self.kappa
         };
-        self.points.iter().map(gradient).collect()
+        self.ways.each(gradient).collect()
     }
 
     /// What the wave leaves of each phase, radians, against their mean phasor.
     fn residual(&self, at: &At) -> Vec<f64> {
         let turned: Vec<Complex64> =
             self.samples.z().iter().zip(self.phases(at)).map(|(z, phase)| z * Complex64::cis(phase)).collect();
-        let mean: Complex64 = turned.iter().sum();
-        let mut left: Vec<f64> = turned.iter().map(|z| (z * mean.conj()).arg()).collect();
+        let mut left = Vec::with_capacity(turned.len());
+        for part in self.ways.parts() {
+            let mean: Complex64 = turned[part.clone()].iter().sum();
+            left.extend(turned[part].iter().map(|z| (z * mean.conj()).arg()));
+        }
         if self.unwraps {
             for k in 1..left.len() {
                 left[k] = left[k - 1] + wrap_rad(left[k] - left[k - 1]);
             }
         }
-        let mean = left.iter().sum::<f64>() / left.len().max(1) as f64;
-        left.iter_mut().for_each(|e| *e -= mean);
+        self.about_means(&mut left);
         left
+    }
+
+    /// Takes the mean of each part out of it.
+    fn about_means<T: Copy + Default + AddAssign + SubAssign + Div<f64, Output = T>>(&self, values: &mut [T]) {
+        for part in self.ways.parts() {
+            let (own, mut mean) = (&mut values[part], T::default());
+            own.iter().for_each(|value| mean += *value);
+            let mean = mean / own.len().max(1) as f64;
+            own.iter_mut().for_each(|value| *value -= mean);
+        }
     }
 
     fn cost(&self, at: &At, variance: f64) -> f64 {
@@ -311,7 +324,7 @@ impl Wave<'_> {
         let Fit { at, left } = from;
         let variance = (left.iter().map(|e| e * e).sum::<f64>() / left.len() as f64).max(1e-16);
         let mut gradients = self.gradients(at);
-        about_mean(&mut gradients);
+        self.about_means(&mut gradients);
         let mut information = information(&gradients, variance);
         // A phase that was turned back too little is made up for by a longer way.
         let mut slope: Vector4<f64> = gradients.iter().zip(left).map(|(g, e)| -g * *e / variance).sum();
@@ -366,7 +379,7 @@ impl Wave<'_> {
     /// Fisher information of the open coordinates from phases of this variance, without any prior.
     fn information(&self, at: &At, variance: f64) -> Matrix4<f64> {
         let mut gradients = self.gradients(at);
-        about_mean(&mut gradients);
+        self.about_means(&mut gradients);
         information(&gradients, variance)
     }
 
@@ -534,11 +547,6 @@ impl Wave<'_> {
     }
 }
 
-fn about_mean(gradients: &mut [Gradient]) {
-    let mean = gradients.iter().sum::<Gradient>() / gradients.len() as f64;
-    gradients.iter_mut().for_each(|g| *g -= mean);
-}
-
 fn information(gradients: &[Gradient], variance: f64) -> Matrix4<f64> {
     gradients.iter().map(|g| g * g.transpose()).sum::<Matrix4<f64>>() / variance
 }
@@ -587,7 +595,7 @@ fn whiteness(left: &[f64], false_alarm: f64, tier: Tier) -> Result<(), Unexplain
 /// Refuses a wave beside which another peak of the plane wave's leaves a doubt. Its mirror is judged by the depth of the
 /// motion.
 fn unambiguous(wave: &Wave<'_>, at: &At, plane_wave: &Estimate, steps: &Steps) -> Result<(), Unexplained> {
-    let own = at.place.explained(wave.samples, wave.points);
+    let own = wave.ways.explained(wave.samples, &at.place);
     let near = |azimuth: f64, other: f64| wrap_rad(azimuth - other).abs() < 2.0 * steps.azimuth();
     let is_own = |azimuth: f64| {
         near(azimuth, at.place.azimuth) || plane_wave.mirror_rad.is_some_and(|mirror| near(azimuth, mirror))
@@ -609,10 +617,10 @@ fn highest_peak(
 ) -> Result<f64, Unexplained> {
     let samples = wave.samples;
     let mut rest = Samples::new(samples.wavelength_m(), samples.path_gain()).map_err(|_| Unexplained::NoPlace)?;
-    for (k, ((p, phase), e)) in wave.points.iter().zip(wave.phases(at)).zip(left).enumerate() {
+    for (k, ((p, phase), e)) in wave.ways.each(|p| *p).zip(wave.phases(at)).zip(left).enumerate() {
         // As it was before the wave was removed from it.
         let value = Complex64::new(0.0, *e) * Complex64::cis(-phase);
-        rest.push(k as f64, value, *p, Vector3::zeros()).map_err(|_| Unexplained::NoPlace)?;
+        rest.push(k as f64, value, p, Vector3::zeros()).map_err(|_| Unexplained::NoPlace)?;
     }
     let highest_rad = if plane_wave.elevation_searched { wave.prior.elevation_rad[1] } else { 0.0 };
     // Nothing is left at all, or nothing that could be searched.

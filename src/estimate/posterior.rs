@@ -115,6 +115,12 @@ impl Steps {
         }
     }
 
+    /// The same for an array on a robot that drives so far from the middle of its way: a range turns the direction by its parallax, and
+    /// a range with another direction may explain much the same.
+    pub fn with_parallax(self, reach_m: f64) -> Self {
+        Self { curve: 0.25 * self.azimuth / reach_m, ..self }
+    }
+
     pub fn azimuth(&self) -> f64 {
         self.azimuth
     }

@@ -121,6 +121,12 @@ impl Prior {
         (low - slack..=high + slack).contains(&place.elevation) && (0.0..=self.curve_max + slack).contains(&place.curve)
     }
 
+    /// The place within these limits that is nearest to another.
+    pub fn nearest(&self, place: Place) -> Place {
+        let [low, high] = self.elevation_rad;
+        Place { elevation: place.elevation.clamp(low, high), curve: place.curve.clamp(0.0, self.curve_max), ..place }
+    }
+
     /// A place with the elevation that a known height gives it.
     pub fn at_height(&self, place: Place) -> Place {
         let elevation = self.height_m.map_or(place.elevation, |height| (height * place.curve).clamp(-1.0, 1.0).asin());

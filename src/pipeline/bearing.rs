@@ -274,6 +274,8 @@ pub struct Bearing {
     /// Mean receiver position of the samples used, metres, trajectory frame: the origin of the answer's azimuth and
     /// range.
     pub mean_position_m: Vector3<f64>,
+    /// The receiver's position at the last sample used, metres.
+    pub(super) end_m: Vector3<f64>,
     /// Figures of merit of the plane wave's azimuth profile, as other programs define them.
     pub figures: ProfileFigures,
     /// The samples used.
@@ -331,7 +333,7 @@ impl Bearing {
     /// Azimuth of the place from the last sample's position, and its deviation, radians.
     fn at_the_end(&self) -> Option<(f64, f64)> {
         let range = self.answer.range.filter(|_| self.answer.has_place())?;
-        let mut away_m = range.position_m - self.samples.receiver_m().last()?;
+        let mut away_m = range.position_m - self.end_m;
         away_m.z = 0.0;
         let across = Vector3::new(-away_m.y, away_m.x, 0.0) / away_m.norm_squared();
         let sd_rad = (across.transpose() * range.covariance_m2 * across).x.max(0.0).sqrt();
@@ -409,10 +411,8 @@ impl Bearing {
     #[doc(hidden)]
     #[must_use]
     pub fn evidence(&self) -> Evidence {
-        let samples = &self.samples;
-        let sum = samples.displacements_m().fold(Vector3::zeros(), |sum, p| sum + p);
-        let middle_m = sum / samples.len().max(1) as f64;
-        let t_s = samples.t_s().last().copied().unwrap_or_default();
+        let middle_m = self.found.middle_m;
+        let t_s = self.samples.t_s().last().copied().unwrap_or_default();
         Evidence {
             t_s,
             position_m: Vector2::new(middle_m.x, middle_m.y),

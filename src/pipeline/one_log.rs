@@ -9,9 +9,10 @@
 //!
 //! with `u` the unit vector to the transmitter, `b` the baseline `r_A - r_B` on the robot, `R` the robot's attitude and `c` a
 //! constant of the two chains. So a turning baseline is a synthetic array: `R b` is the displacement, the path gain is 1, and
-//! the samples go into the same estimate as those of two logs. The robot's position is not needed.
+//! the samples go into the same estimate as those of two logs.
 //!
-//! The wave front is assumed to be plane, so there is no range.
+//! Of a robot that only turns the wave front is assumed to be plane, so there is no range. One that drives sees the transmitter from
+//! several places: the ways to both antennas are then those of a spherical wave (`Drive`), which gives the range.
 //!
 //! A turn also gives `c` ([`ChainConstant`]). It holds until the firmware is loaded again. With a known `c`
 //! ([`Array::with_constants`]) a standing robot has a bearing too; two antennas leave its mirror across the baseline.
@@ -24,10 +25,11 @@ use super::error::LinkError;
 use super::first_delay::FirstDelay;
 use super::options::{JoinBy, Options};
 use super::{LinkReport, LogReport};
-use crate::bartlett::{self, Estimate};
-use crate::estimate::{Found, Task, estimate};
+use crate::bartlett;
+use crate::estimate::likelihood::Place;
+use crate::estimate::{Drive, Found, Task, estimate, heading};
 use crate::maths::wrap_rad;
-use crate::motion::pose::{Pose, Trajectory, TrajectoryError};
+use crate::motion::pose::{Trajectory, TrajectoryError};
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::{Planes, lanes};
 use crate::signal::samples::Samples;
@@ -37,7 +39,7 @@ use crate::time::Instant;
 use csi_formats::Frame;
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Antennas, Bfee};
-use nalgebra::{UnitVector3, Vector3};
+use nalgebra::{Matrix3, Matrix3x2, UnitVector3, Vector2, Vector3};
 use num_complex::{Complex32, Complex64};
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -61,6 +63,11 @@ const CLEAR_SHARE: f64 = 0.9;
 /// constant is off by half a turn, on other cards by anything.
 const CONTRADICTS_SD: f64 = 4.0;
 const CONTRADICTS_RAD: f64 = 0.5;
+/// How far from the tracked point of a robot its antennas are, metres; where that is given, how well.
+const ON_ROBOT_SD_M: f64 = 0.05;
+const GIVEN_SD_M: f64 = 0.005;
+/// How well a sample tells a way, metres.
+const WAY_SD_M: f64 = 0.001;
 /// Samples of each baseline in the search for the chains' constants.
 const ROUGH_ROWS: usize = 256;
 
@@ -71,6 +78,7 @@ pub struct Array {
     others: Vec<(Antenna, Vector3<f64>)>,
     /// One for each baseline, or empty if unknown.
     constants: Vec<ChainConstant>,
+    is_placed: bool,
 }
 
 /// The phase that the chains of two antennas add to `h_first conj(h_other)`.
@@ -148,7 +156,7 @@ impl Array {
             return Err(ArrayError::Length { length_m });
         }
         let others = others.iter().copied().zip(baselines_m.iter().copied()).collect();
-        Ok(Self { first, others, constants: Vec::new() })
+        Ok(Self { first, others, constants: Vec::new(), is_placed: false })
     }
 
     /// Sets the constant of each baseline from an earlier turn ([`Bearing::chain_constants`]). With constants, records of a
@@ -162,6 +170,12 @@ impl Array {
             return Err(ArrayError::Constants { constants: constants.len(), baselines: self.others.len() });
         }
         Ok(Self { constants: constants.to_vec(), ..self })
+    }
+
+    /// Says that the trajectory is that of the first antenna. Otherwise it is some centimetres away from it, so error bars are wider.
+    #[must_use]
+    pub fn on_trajectory(self) -> Self {
+        Self { is_placed: true, ..self }
     }
 
     /// Length of the first baseline, metres, and true if the chain constants are known.
@@ -497,6 +511,21 @@ pub fn one_log(
 struct Baseline {
     samples: Samples,
     rows: Vec<usize>,
+    /// Where the first antenna was, metres from the middle of its way; empty if that is too short to matter.
+    places_m: Vec<Vector3<f64>>,
+}
+
+impl Baseline {
+    /// The samples without the phases that a wave from a place would have.
+    fn steered(&self, place: &Place) -> Vec<Complex64> {
+        let (way_m, wavelength_m) = (place.ways_m(), self.samples.wavelength_m());
+        let way_m = |k: usize, arm: &Vector3<f64>| match self.places_m.get(k) {
+            Some(place) => way_m(place) - way_m(&(place - arm)),
+            None => way_m(arm),
+        };
+        let each = self.samples.receiver_m().iter().zip(self.samples.z()).enumerate();
+        each.map(|(k, (arm, z))| z * Complex64::cis(TAU * way_m(k, arm) / wavelength_m)).collect()
+    }
 }
 
 /// The samples of all baselines, combined in one array.
@@ -508,6 +537,7 @@ struct Together {
     rows: Vec<(usize, usize)>,
     /// The rotation that removed each baseline's constant.
     turns: Vec<Complex64>,
+    drive: Option<Drive>,
 }
 
 /// The records of one sender on the turning robot.
@@ -517,6 +547,9 @@ struct Joined {
     /// Path of the first baseline's end over the whole trajectory.
     arm: Trajectory,
     length_m: f64,
+    /// The middle of the robot's way, metres.
+    middle_m: Vector3<f64>,
+    drives: bool,
 }
 
 /// The end of a baseline at a time within the trajectory, metres.
@@ -544,7 +577,7 @@ impl Joined {
             })?;
             let motion = arm.motion();
             let samples = Samples::new(options.channel.wavelength_m(), 1)?;
-            let mut own = Baseline { samples, rows: Vec::new() };
+            let mut own = Baseline { samples, rows: Vec::new(), places_m: Vec::new() };
             for (at, (row, t_s)) in rows.iter().zip(times_s).enumerate() {
                 let place = t_s.and_then(|t_s| Some((t_s, end_m(&arm, t_s, length_m)?)));
                 let fate = match (place, t_s) {
@@ -554,6 +587,8 @@ impl Joined {
                     (Some((t_s, end_m)), _) => {
                         own.samples.push(t_s, row.z(k), end_m, Vector3::zeros())?;
                         own.rows.push(at);
+                        let own_m = trajectory.at(t_s).map_or_else(Vector3::zeros, |pose| pose.position_m);
+                        own.places_m.push(own_m);
                         Fate::Used
                     }
                 };
@@ -563,7 +598,37 @@ impl Joined {
             first_arm.get_or_insert((arm, length_m));
         }
         let (arm, length_m) = first_arm.ok_or(LinkError::NotTurned { records: rows.len() })?;
-        Ok(Self { baselines, fates, arm, length_m })
+        let places_m: Vec<Vector3<f64>> = baselines.iter().flat_map(|own| own.places_m.iter().copied()).collect();
+        let middle_m = places_m.iter().sum::<Vector3<f64>>() / places_m.len().max(1) as f64;
+        let longest_m = array.baselines_m().map(|baseline_m| baseline_m.norm()).fold(0.0, f64::max);
+        // How far an antenna is from the tracked point, the turn moves it about there.
+        let turns_m = if array.is_placed { longest_m } else { 0.0 };
+        let drives = options.accuracy.near_field
+            && !Drive::is_short(&places_m, (longest_m, turns_m), options.channel.wavelength_m());
+        for own in &mut baselines {
+            own.places_m.retain(|_| drives);
+            own.places_m.iter_mut().for_each(|place| *place -= middle_m);
+        }
+        Ok(Self { baselines, fates, arm, length_m, middle_m, drives })
+    }
+
+    /// What tells the range, if the robot drives: after `anchors` samples at the origin those of all baselines. The phase of each is its
+    /// own, unless it is known.
+    fn drive(&self, anchors: usize) -> Option<Drive> {
+        let mut drive = Drive {
+            ends_m: vec![Vector3::zeros(); anchors],
+            feet_m: vec![Vector3::zeros(); anchors],
+            parts: Vec::new(),
+        };
+        for own in self.baselines.iter().filter(|own| !own.samples.is_empty()) {
+            drive.ends_m.extend(&own.places_m);
+            drive.feet_m.extend(own.places_m.iter().zip(own.samples.receiver_m()).map(|(place, arm)| place - arm));
+            drive.parts.push(drive.feet_m.len());
+        }
+        if anchors > 0 {
+            drive.parts = vec![drive.feet_m.len()];
+        }
+        self.drives.then_some(drive)
     }
 
     fn counts(&self, heard: usize) -> PairCounts {
@@ -584,7 +649,7 @@ impl Joined {
         let all_rows: Vec<(usize, usize)> = heard.iter().flat_map(rows).collect();
         if let [(_, only)] = heard[..] {
             let (samples, turns) = (only.samples.clone(), vec![Complex64::ONE; self.baselines.len()]);
-            return Ok(Together { samples, anchors: 0, rows: all_rows, turns });
+            return Ok(Together { samples, anchors: 0, rows: all_rows, turns, drive: self.drive(0) });
         }
         let groups: Vec<Vec<(Vector3<f64>, Complex64)>> =
             heard.iter().map(|(_, own)| about_middle(&own.samples)).collect();
@@ -597,7 +662,7 @@ impl Joined {
                 all.push(*t_s, z * constant.conj(), *place_m, Vector3::zeros())?;
             }
         }
-        Ok(Together { samples: all, anchors: 0, rows: all_rows, turns })
+        Ok(Together { samples: all, anchors: 0, rows: all_rows, turns, drive: self.drive(0) })
     }
 
     /// As [`Self::together`], with known constants: adds one sample of phase 0 at the origin for each measured one.
@@ -616,7 +681,7 @@ impl Joined {
             }
         }
         let rows = self.baselines.iter().enumerate().flat_map(|(k, own)| own.rows.iter().map(move |row| (k, *row)));
-        Ok(Together { samples: all, anchors, rows: rows.collect(), turns })
+        Ok(Together { samples: all, anchors, rows: rows.collect(), turns, drive: self.drive(anchors) })
     }
 
     /// The first given constant that the turn contradicts, if any.
@@ -635,7 +700,7 @@ impl Joined {
             return Ok(None);
         }
         let together = self.together(options)?;
-        let found = together.estimate(sender, trajectory, options)?;
+        let found = self.estimate(&together, sender, trajectory, options)?;
         let is_steady = found.plane_wave.coherence > BY_CHANCE / (together.rows.len() as f64).sqrt();
         let is_clear = is_steady && found.modes.first().is_some_and(|first| first.mass > CLEAR_SHARE);
         let Some(towards) = Towards::of(&found).filter(|_| is_clear) else { return Ok(None) };
@@ -652,30 +717,105 @@ impl Joined {
         Ok(given.iter().zip(self.constants(&towards)).find_map(wrong))
     }
 
-    /// The constants, given the direction of the transmitter.
-    fn constants(&self, towards: &Towards) -> Vec<ChainConstant> {
-        self.baselines.iter().map(|own| towards.constant(&own.samples)).collect()
-    }
-}
-
-impl Together {
     /// The posterior of the direction.
-    fn estimate(&self, sender: &Sender, trajectory: &Trajectory, options: &Options) -> Result<Found, LinkError> {
+    fn estimate(
+        &self,
+        together: &Together,
+        sender: &Sender,
+        trajectory: &Trajectory,
+        options: &Options,
+    ) -> Result<Found, LinkError> {
         let planes = |(baseline, row): &(usize, usize)| {
-            let turn = self.turns.get(*baseline).copied().unwrap_or(Complex64::ONE);
+            let turn = together.turns.get(*baseline).copied().unwrap_or(Complex64::ONE);
             sender.rows.get(*row).map_or(Planes::ZERO, |row| row.planes(*baseline, turn))
         };
-        let all: Vec<usize> = (0..self.samples.len()).collect();
-        let rows = || std::iter::repeat_n(Planes::ONE, self.anchors).chain(self.rows.iter().map(planes)).collect();
-        // A ruler measured this path, which is the baseline's.
-        Ok(estimate(&Task { bend_rad: 0.0, ..options.task(&self.samples, trajectory) }, rows, &all)?)
+        let all: Vec<usize> = (0..together.samples.len()).collect();
+        let rows =
+            || std::iter::repeat_n(Planes::ONE, together.anchors).chain(together.rows.iter().map(planes)).collect();
+        // A ruler measured the baseline; noise of the attitude makes a small turn seem larger (errors in variables).
+        let noise = if together.anchors > 0 { 0.0 } else { self.noise_of_turn() };
+        let (bend_rad, scale_sd) = (0.0, heading::scale_sd(noise));
+        let task =
+            Task { bend_rad, scale_sd, drive: together.drive.as_ref(), ..options.task(&together.samples, trajectory) };
+        Ok(estimate(&task, rows, &all)?)
+    }
+
+    /// The variance of the attitude's noise over that of the turn.
+    fn noise_of_turn(&self) -> f64 {
+        let (mut apart, mut whole) = (0.0, 0.0);
+        for own in &self.baselines {
+            let ends = own.samples.receiver_m();
+            let middle_m = ends.iter().sum::<Vector3<f64>>() / ends.len().max(1) as f64;
+            apart += ends.iter().map(|end| (end - middle_m).norm_squared()).sum::<f64>();
+            whole += ends.iter().map(|end| end.norm_squared()).sum::<f64>();
+        }
+        if apart > 0.0 { (ATTITUDE_SD_RAD.powi(2) * whole / apart).min(1.0) } else { 0.0 }
+    }
+
+    /// Covariance that antennas `sd_m` away from where the trajectory says add to azimuth, elevation and 1 / range of the first mode, by
+    /// least squares. A place on the robot turns with the robot, so whole turns leave little of it.
+    fn covariance_on_robot(&self, found: &Found, sd_m: f64, with_constants: bool) -> Matrix3<f64> {
+        const STEP: f64 = 1e-4;
+        let Some(first) = found.modes.first() else { return Matrix3::zeros() };
+        let place = Place { curve: found.expected_curve(), ..first.place };
+        let of_place = [
+            Place { azimuth: place.azimuth + STEP, ..place },
+            Place { elevation: place.elevation + STEP, ..place },
+            Place { curve: place.curve + STEP, ..place },
+        ];
+        let of_robot = [[STEP, 0.0], [0.0, STEP]];
+        let changes = of_place.map(|to| (to, [0.0; 2])).into_iter().chain(of_robot.map(|off| (place, off)));
+        let opens = |is_open: bool| f64::from(u8::from(is_open));
+        let elevation_is_open = found.prior.elevation_is_open();
+        let (mut information, mut slopes) = (Matrix3::zeros(), Matrix3x2::zeros());
+        for own in &self.baselines {
+            let ways = |(place, [along, across]): (Place, [f64; 2])| -> Vec<f64> {
+                let way_m = place.ways_m();
+                let of = |(k, arm): (usize, &Vector3<f64>)| {
+                    let ahead = arm.xy().try_normalize(0.0).unwrap_or_default();
+                    let off = Vector3::new(along * ahead.x - across * ahead.y, along * ahead.y + across * ahead.x, 0.0);
+                    let end = own.places_m.get(k).copied().unwrap_or_default() + off;
+                    way_m(&end) - way_m(&(end - arm))
+                };
+                own.samples.receiver_m().iter().enumerate().map(of).collect()
+            };
+            let still = ways((place, [0.0; 2]));
+            let slope = |change| {
+                let each: Vec<f64> = ways(change).iter().zip(&still).map(|(way, still)| (way - still) / STEP).collect();
+                let mean = if with_constants { 0.0 } else { each.iter().sum::<f64>() / each.len().max(1) as f64 };
+                each.into_iter().map(|slope| slope - mean).collect()
+            };
+            let each: Vec<Vec<f64>> = changes.clone().map(slope).collect();
+            let [azimuth, elevation, curve, along, across] = &each[..] else { continue };
+            for ((((a, e), c), along), across) in azimuth.iter().zip(elevation).zip(curve).zip(along).zip(across) {
+                let gradient = Vector3::new(*a, e * opens(elevation_is_open), c * opens(self.drives));
+                information += gradient * gradient.transpose();
+                slopes += gradient * Vector2::new(*along, *across).transpose();
+            }
+        }
+        let [elevation_sd, _] = found.prior.deviations();
+        let prior_sd = Vector3::new(1.8, elevation_sd.max(1e-3), found.prior.curve_max.max(1e-3) / 12f64.sqrt());
+        let floor = Matrix3::from_diagonal(&prior_sd.map(|sd| (WAY_SD_M / sd).powi(2)));
+        let moves = (information + floor).try_inverse().unwrap_or_default() * slopes * sd_m;
+        moves * moves.transpose()
+    }
+
+    /// Coherence of the samples with a wave from a place, whatever the constants.
+    fn coherence(&self, place: &Place) -> f64 {
+        let sums = self.baselines.iter().map(|own| own.steered(place).iter().sum::<Complex64>().norm());
+        let count: usize = self.baselines.iter().map(|own| own.samples.len()).sum();
+        sums.sum::<f64>() / count.max(1) as f64
+    }
+
+    /// The constants, given the direction of the transmitter.
+    fn constants(&self, towards: &Towards) -> Vec<ChainConstant> {
+        self.baselines.iter().map(|own| towards.constant(own)).collect()
     }
 }
 
-/// A direction and its deviations.
+/// A place and the deviations of its direction.
 struct Towards {
-    azimuth_rad: f64,
-    elevation_rad: f64,
+    place: Place,
     azimuth_sd_rad: f64,
     elevation_sd_rad: f64,
 }
@@ -684,8 +824,7 @@ impl Towards {
     fn of(found: &Found) -> Option<Self> {
         let first = found.modes.first()?;
         Some(Self {
-            azimuth_rad: first.place.azimuth,
-            elevation_rad: first.place.elevation,
+            place: first.place,
             azimuth_sd_rad: found.direction_sd_rad(),
             elevation_sd_rad: first.covariance[(1, 1)].max(0.0).sqrt(),
         })
@@ -693,7 +832,7 @@ impl Towards {
 
     /// Derivative of a place's phase by azimuth and by elevation.
     fn slopes(&self, place_m: &Vector3<f64>, wavelength_m: f64) -> [f64; 2] {
-        let ((sin_a, cos_a), (sin_e, cos_e)) = (self.azimuth_rad.sin_cos(), self.elevation_rad.sin_cos());
+        let ((sin_a, cos_a), (sin_e, cos_e)) = (self.place.azimuth.sin_cos(), self.place.elevation.sin_cos());
         let by_azimuth = Vector3::new(-sin_a, cos_a, 0.0) * cos_e;
         let by_elevation = Vector3::new(-cos_a * sin_e, -sin_a * sin_e, cos_e);
         [by_azimuth, by_elevation].map(|by| TAU / wavelength_m * by.dot(place_m))
@@ -701,12 +840,10 @@ impl Towards {
 
     /// The residual phase of a baseline and its deviation: from the spread of correlated samples, and from the direction's
     /// error, if the turn is not centred.
-    fn constant(&self, samples: &Samples) -> ChainConstant {
+    fn constant(&self, baseline: &Baseline) -> ChainConstant {
+        let samples = &baseline.samples;
         let (n, wavelength_m) = (samples.len().max(1) as f64, samples.wavelength_m());
-        let towards = bartlett::direction(self.azimuth_rad, self.elevation_rad);
-        let steer =
-            |(place_m, z): (&Vector3<f64>, &Complex64)| z * Complex64::cis(-TAU * towards.dot(place_m) / wavelength_m);
-        let left: Vec<Complex64> = samples.receiver_m().iter().zip(samples.z()).map(steer).collect();
+        let left = baseline.steered(&self.place);
         let rad = left.iter().sum::<Complex64>().arg();
         let off: Vec<f64> = left.iter().map(|z| (z * Complex64::cis(-rad)).arg()).collect();
         let square: f64 = off.iter().map(|rad| rad * rad).sum();
@@ -818,24 +955,33 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
     };
     let Together { samples, anchors, rows: used, .. } = &together;
     let mut options = options.clone();
-    options.accuracy.near_field = false;
+    options.accuracy.near_field = joined.drives;
     // One card has one sampling clock, so slopes do not differ between packets.
     options.accuracy.align = false;
     options.odometry_sd_m = options.odometry_sd_m.min(ATTITUDE_SD_RAD * joined.length_m);
     if let Some(wrong) = joined.contradiction(sender, &array.constants, trajectory, &options)? {
         return Err(wrong);
     }
-    let mut found = together.estimate(sender, trajectory, &options)?;
-    let coherence = coherence(&found.plane_wave, samples, *anchors);
+    let mut found = joined.estimate(&together, sender, trajectory, &options)?;
+    let towards = Towards::of(&found);
+    let coherence = match &towards {
+        Some(towards) if joined.drives || *anchors > 0 => joined.coherence(&towards.place),
+        _ => found.plane_wave.coherence,
+    };
     if coherence <= BY_CHANCE / (used.len() as f64).sqrt() {
         return Err(LinkError::Unsteady { records: used.len(), coherence });
     }
-    let towards = Towards::of(&found);
     let constants_sd_rad = towards.as_ref().map_or(0.0, |towards| towards.azimuth_sd_of(&array.constants, &together));
-    found.blur.heading_rad = found.blur.heading_rad.hypot(constants_sd_rad);
-    let poses: Vec<Pose> = samples.t_s().iter().skip(*anchors).filter_map(|t_s| trajectory.at(*t_s)).collect();
-    let sum = poses.iter().fold(Vector3::zeros(), |sum, pose| sum + pose.position_m);
-    let last = poses.iter().max_by(|a, b| a.t_s.total_cmp(&b.t_s));
+    let place_sd_m = if array.is_placed { GIVEN_SD_M } else { ON_ROBOT_SD_M };
+    let off = joined.covariance_on_robot(&found, place_sd_m, *anchors > 0);
+    if let Some(first) = found.modes.first_mut() {
+        first.covariance += off;
+    }
+    let off_rad = off[(0, 0)].sqrt();
+    found.blur.heading_rad = found.blur.heading_rad.hypot(constants_sd_rad).hypot(off_rad);
+    found.middle_m = joined.middle_m;
+    let last_s = samples.t_s().iter().skip(*anchors).copied().fold(f64::MIN, f64::max);
+    let last = trajectory.at(last_s);
     let keeps = options.keep_course;
     Ok(Bearing {
         answer: BearingAnswer::of(&found, samples),
@@ -847,7 +993,8 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
         range_change: None,
         odometry_fit: None,
         pairs: counts,
-        mean_position_m: sum / poses.len().max(1) as f64,
+        mean_position_m: joined.middle_m,
+        end_m: last.map_or(joined.middle_m, |pose| pose.position_m),
         density: if keeps { found.density(DENSITY_AZIMUTHS) } else { Vec::new() },
         slope_sd_rad: None,
         plane_wave: found.plane_wave.clone(),
@@ -864,18 +1011,6 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
         found,
         kinds_rad: Vec::new(),
     })
-}
-
-/// Coherence of the measured samples with a plane wave, without the anchors.
-fn coherence(wave: &Estimate, samples: &Samples, anchors: usize) -> f64 {
-    if anchors == 0 {
-        return wave.coherence;
-    }
-    let heard = samples.receiver_m().iter().zip(samples.z()).skip(anchors).map(|(place_m, z)| (*place_m, *z));
-    let heard: Vec<(Vector3<f64>, Complex64)> = heard.collect();
-    let elevation_rad = wave.signed_elevation_rad.unwrap_or(wave.abs_elevation_rad);
-    let towards = bartlett::direction(wave.azimuth_rad, elevation_rad);
-    steered(&heard, &towards, samples.wavelength_m(), 1).norm() / heard.len().max(1) as f64
 }
 
 /// The phase of the first baseline in each record.

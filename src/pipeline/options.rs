@@ -183,16 +183,19 @@ impl Options {
     /// The estimate of these samples on this trajectory.
     pub(super) fn task<'a>(&self, samples: &'a Samples, receiver: &Trajectory) -> Task<'a> {
         let heading_sd_rad = self.heading_sd_of(receiver);
+        let bend_rad = heading::bend_rad(heading_sd_rad);
         Task {
             samples,
             indices: self.channel.subcarriers(),
             limits: self.limits(),
             odometry_sd_m: self.odometry_sd_m,
             heading_sd_rad,
-            bend_rad: heading::bend_rad(heading_sd_rad),
+            bend_rad,
+            scale_sd: heading::scale_sd(bend_rad),
             effort: self.accuracy.effort,
             align: self.accuracy.align,
             one_way: self.accuracy.one_way,
+            drive: None,
             tier: self.tier,
         }
     }

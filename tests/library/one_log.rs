@@ -420,3 +420,69 @@ fn antennas_with_different_subcarriers_make_no_frame() {
     };
     assert_eq!([30, 1, 31].map(heard), [true, false, false]);
 }
+
+/// A robot that drives past a sender hears it from other directions meanwhile: its odometry and two or three antennas tell the place,
+/// too. Without `near_field`, one direction is assumed for all of the way.
+#[test]
+fn a_robot_that_drives_finds_the_place_of_a_sender() {
+    use csi5300_sim::motion::{RandomWalk, RobotMotion};
+    use csi5300_sim::radio::{Noise, Radio};
+    use csi5300_sim::scene::{Robot, Scene, Sounding};
+    let (antennas_m, sender_m) = ([[0.1, 0.0, 0.0], [0.0; 3], [0.05, 0.08, 0.0]], [1.5, 2.2, 0.0]);
+    let walk = RandomWalk { speed_m_s: 0.2, turning_deg_s: 40.0, within_m: 1.5, duration_s: 20.0, start_s: 0.0 };
+    let [a, b, c] = antennas_m;
+    let rx = Robot {
+        name: "rx".into(),
+        antenna_m: a,
+        antenna_b_m: Some(b),
+        antenna_c_m: Some(c),
+        motion: RobotMotion::RandomWalk(walk),
+        ..Robot::default()
+    };
+    let seen = |seed: u64, count: usize, near_field: bool| {
+        let scene = Scene {
+            seed,
+            duration_s: 20.0,
+            sounding: Some(Sounding { rate_hz: 50.0, ..Sounding::default() }),
+            radio: Radio {
+                noise: Noise::SnrDb(15.0),
+                chain_deg: [70.0, -110.0],
+                host_latency_us: 0.0,
+                ..Radio::default()
+            },
+            robot: vec![rx.clone(), Robot { name: "tx".into(), position_m: sender_m, ..Robot::default() }],
+            ..Scene::default()
+        };
+        let room = csi5300_sim::Room::new(&scene).unwrap();
+        let path = room.true_path(0, 50.0).unwrap();
+        let others = [b, c].map(|other| Vector3::from(a) - Vector3::from(other));
+        let letters = [Antenna::A, Antenna::B, Antenna::C];
+        let array = Array::new(&letters[..count], &others[..count - 1]).unwrap().on_trajectory();
+        let accuracy = Accuracy { near_field, ..Accuracy::default() };
+        let options = Options { accuracy, ..options() };
+        let simulated = room.run().unwrap();
+        let mut log = simulated.robots[0].replay();
+        one_log(&mut log, &path, &array, &options).unwrap().links.remove(0).bearing.unwrap()
+    };
+    for count in [2, 3] {
+        let (mut levels, mut plane_off) = (Vec::new(), Vec::new());
+        for seed in 0..10 {
+            let bearing = seen(seed, count, true);
+            let range = bearing.answer.range.filter(|_| bearing.answer.has_place()).unwrap();
+            let off = (range.position_m - Vector3::from(sender_m)).xy();
+            let covariance = range.covariance_m2.fixed_view::<2, 2>(0, 0).into_owned();
+            levels.push(off.dot(&(covariance.try_inverse().unwrap() * off)));
+            assert!(off.norm() < 0.3 && range.sd_m < 0.5, "{count} {seed}: {off} {range:?}");
+            // From the nose at the end: the sender's place seen from the antenna's.
+            let way = Vector3::from(sender_m) - bearing.mean_position_m;
+            assert!(wrap_rad(bearing.answer.azimuth_rad - way.y.atan2(way.x)).abs() < 0.05, "{count} {seed}");
+            let plane = seen(seed, count, false);
+            assert!(plane.answer.range.is_none());
+            plane_off.push(wrap_rad(plane.answer.azimuth_rad - way.y.atan2(way.x)) / plane.answer.azimuth_sd_rad);
+        }
+        // -2 ln(1 - share) of 95 %.
+        let outside = levels.iter().filter(|level| **level > 5.99).count();
+        assert!(outside <= 1, "{count}: {levels:?}");
+        assert!(rms(&plane_off) > 2.0, "{count}: {plane_off:?}");
+    }
+}

@@ -152,6 +152,8 @@ impl Sources {
         let own = own.ok_or_else(|| refused("this robot's MAC is not known"))?;
         let array = config.array.as_ref().map(|array| array.array()).transpose();
         let array = array.map_err(|error| Error::Backend(Box::new(error)))?;
+        let is_placed = config.antenna_offset_m != [0.0; 3];
+        let array = array.map(|array| if is_placed { array.on_trajectory() } else { array });
         let trajectories = shared.trajectories;
         Ok(Self { own, capture: card, is_live, poses, track, peers, array, trajectories, speed })
     }

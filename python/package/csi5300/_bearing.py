@@ -295,9 +295,9 @@ def bearings(
         del options[name]
     if baseline is not None:
         of_two: dict[str, Any] = {"tx": tx, "tx_trajectory": tx_trajectory, "antenna": antenna, "rx_mac": rx_mac, "key": key}
-        of_two |= {"antenna_offset": antenna_offset, "camera_mount": camera_mount, "explain": explain, "every": every, "fit": fit}
+        of_two |= {"camera_mount": camera_mount, "explain": explain, "every": every, "fit": fit}
         of_two |= {"range_change": range_change, "range_min": range_min, "no_compensation": no_compensation}
-        of_two["without"] = set(_options.texts("without", without or ())) - {"elevation"}
+        of_two["without"] = set(_options.texts("without", without or ())) - {"elevation", "near-field"}
         wrong = [name for name, value in of_two.items() if value]
         if wrong:
             raise OptionError(f"{wrong[0]}: not allowed with baseline, which uses one robot's own log")

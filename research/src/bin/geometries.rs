@@ -1,10 +1,19 @@
-//! Answers of the default pipeline in free space, for motion of one end or both, compared with their truth and the Cramer-Rao bound:
-//! `cargo run --release --bin geometries [helix | near | shapes | both | wide | random]`.
+//! Answers of the default pipeline in free space, for motion of one end or both, compared with their truth and the Cramer-Rao bound;
+//! `arrays` are those of one log, in rooms, too:
+//! `cargo run --release --bin geometries [helix | near | shapes | both | wide | random | arrays]`.
 
-use csi5300::pipeline::Options;
+use csi5300::motion::pose::{Pose, Trajectory};
+use csi5300::pipeline::{Array, Options, one_log};
+use csi5300_lab::Failure;
+use csi5300_lab::compare::figures::true_path;
+use csi5300_sim::Room;
 use csi5300_sim::motion::{Arc, Circle, Helix, Line, RandomWalk, RobotMotion, Square, Waypoints};
+use csi5300_sim::radio::{Noise, Radio};
 use csi5300_sim::random::Stream;
+use csi5300_sim::scene::{Robot, Scene, Sounding, Wall};
+use driver_iface::bfee::Antenna;
 use ends::{Ends, Seen};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 #[path = "../../../crates/lab/tests/lab/ends.rs"]
@@ -12,8 +21,15 @@ mod ends;
 
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).collect();
-    let all: [(&str, fn()); 6] =
-        [("helix", helix), ("near", near), ("shapes", shapes), ("both", both), ("wide", wide), ("random", random)];
+    let all: [(&str, fn()); 7] = [
+        ("helix", helix),
+        ("near", near),
+        ("shapes", shapes),
+        ("both", both),
+        ("wide", wide),
+        ("random", random),
+        ("arrays", arrays),
+    ];
     all.iter().filter(|(name, _)| wanted.is_empty() || wanted.iter().any(|w| w == name)).for_each(|(_, run)| run());
 }
 
@@ -258,7 +274,7 @@ fn random_motion(random: &mut Stream) -> (&'static str, RobotMotion, f64) {
         }
         1 => {
             let (radius_m, turns) = (size_m / 2.0, random.between(0.4, 1.6));
-            let duration_s = lasts(6.28 * radius_m * turns);
+            let duration_s = lasts(std::f64::consts::TAU * radius_m * turns);
             ("level", RobotMotion::Circle(Circle { radius_m, duration_s, turns, start_s }), duration_s)
         }
         2 | 3 => {
@@ -275,7 +291,8 @@ fn random_motion(random: &mut Stream) -> (&'static str, RobotMotion, f64) {
         }
         5 => {
             let (radius_m, turns) = (size_m / 3.0, random.between(0.5, 2.0));
-            let (rise_m, duration_s) = (random.between(0.0, 0.5) * size_m, lasts(6.28 * radius_m * turns));
+            let (rise_m, duration_s) =
+                (random.between(0.0, 0.5) * size_m, lasts(std::f64::consts::TAU * radius_m * turns));
             ("in space", RobotMotion::Helix(Helix { radius_m, rise_m, duration_s, turns, start_s }), duration_s)
         }
         6 => {
@@ -326,15 +343,149 @@ fn random_scene(seed: u64) -> (&'static str, Ends) {
     (kind, ends)
 }
 
-/// How often random scenes' errors are within their bars, places within their ellipses, and probabilities right.
+/// Random scenes of two logs.
 fn random() {
     let one = |seed| {
         let (kind, ends) = random_scene(seed);
         ends.see(&options()).ok().map(|seen| (kind, seen))
     };
-    let all: Vec<(&str, Seen)> = (0..4000).into_par_iter().filter_map(one).collect();
-    for kind in ["line", "level", "tilted", "in space"] {
-        let seen: Vec<&Seen> = all.iter().filter(|(own, _)| *own == kind).map(|(_, seen)| seen).collect();
+    print_shares((0..4000).into_par_iter().filter_map(one).collect(), &["line", "level", "tilted", "in space"]);
+}
+
+/// A robot with two or three antennas that turns, drives an arc or walks about, and the room around it.
+struct ArrayScene {
+    kind: &'static str,
+    scene: Scene,
+    antennas_m: Vec<[f64; 3]>,
+    heading_noise_rad: f64,
+    /// Whether the trajectory is that of the first antenna, or of the robot's middle.
+    is_placed: bool,
+}
+
+impl ArrayScene {
+    fn random(seed: u64, in_room: bool) -> Self {
+        let mut random = Stream::of_seed(seed);
+        let (duration_s, start_s) = (random.between(4.0, 20.0), 0.0);
+        let turn_deg = 10f64.powf(random.between(15f64.log10(), 800f64.log10()));
+        let (kind, motion) = match random.between(0.0, 4.0) as u32 {
+            0 | 1 => {
+                let turns = turn_deg / 360.0;
+                ("turn in place", RobotMotion::Circle(Circle { radius_m: 0.0, duration_s, turns, start_s }))
+            }
+            2 => {
+                let (radius_m, angle_deg) = (random.between(0.1, 1.0), turn_deg.min(340.0));
+                ("arc", RobotMotion::Arc(Arc { radius_m, angle_deg, duration_s, start_s }))
+            }
+            _ => {
+                let (speed_m_s, turning_deg_s) = (0.2, random.between(20.0, 90.0));
+                let walk = RandomWalk { speed_m_s, turning_deg_s, within_m: 1.0, duration_s, start_s };
+                ("walk", RobotMotion::RandomWalk(walk))
+            }
+        };
+        let range_m = 10f64.powf(random.between(1.8f64.log10(), 20f64.log10()));
+        let position_m = away(random.between(-180.0, 180.0), random.between(-20.0, 20.0), range_m);
+        let first_m = [0.05 * random.normal(), 0.05 * random.normal(), 0.0];
+        let (length_m, about) =
+            (10f64.powf(random.between(0.02f64.log10(), 0.2f64.log10())), random.between(0.0, std::f64::consts::TAU));
+        let beside = |turn: f64| {
+            let (sin, cos) = (about + turn).sin_cos();
+            [first_m[0] + length_m * cos, first_m[1] + length_m * sin, 0.0]
+        };
+        let mut antennas_m = vec![first_m, beside(0.0)];
+        antennas_m.extend((random.between(0.0, 1.0) < 0.4).then(|| beside(1.5)));
+        let heading_noise_rad = [0.0, 0.005, 0.0175][random.between(0.0, 3.0) as usize];
+        let radio = Radio {
+            noise: Noise::SnrDb(random.between(0.0, 25.0)),
+            chain_deg: [random.between(-180.0, 180.0), random.between(-180.0, 180.0)],
+            host_latency_us: 0.0,
+            ..Radio::default()
+        };
+        let receiver = Robot {
+            name: "rx".into(),
+            motion,
+            antenna_m: antennas_m[0],
+            antenna_b_m: Some(antennas_m[1]),
+            antenna_c_m: antennas_m.get(2).copied(),
+            ..Robot::default()
+        };
+        let loss_db = random.between(8.0, 16.0);
+        let mut beyond_m = || range_m + random.between(3.0, 8.0);
+        let (west, east, south, north) = (-beyond_m(), beyond_m(), -beyond_m(), beyond_m());
+        let corners = [[west, south], [east, south], [east, north], [west, north], [west, south]];
+        let walls = corners.windows(2).map(|ends| Wall { loss_db, ..Wall::between(ends[0], ends[1]) });
+        let scene = Scene {
+            name: "array".into(),
+            seed,
+            duration_s: duration_s + 0.5,
+            sounding: Some(Sounding { rate_hz: 50.0, ..Sounding::default() }),
+            radio,
+            reflections: if in_room { 2 } else { 0 },
+            wall: walls.filter(|_| in_room).collect(),
+            robot: vec![receiver, Robot { name: "tx".into(), position_m, ..Robot::default() }],
+            ..Scene::default()
+        };
+        Self { kind, scene, antennas_m, heading_noise_rad, is_placed: seed.is_multiple_of(2) }
+    }
+
+    fn see(&self) -> Result<Seen, Failure> {
+        let room = Room::new(&self.scene)?;
+        let of_antenna = true_path(&room, 0)?;
+        let [first_m, others @ ..] = &self.antennas_m[..] else { return Err("no antenna".into()) };
+        let first_m = Vector3::from(*first_m);
+        let path = if self.is_placed { of_antenna } else { of_antenna.with_antenna_offset(-first_m)? };
+        let mut random = Stream::of_seed(self.scene.seed ^ 0x5eed);
+        let noisy = |pose: &Pose| Pose {
+            heading_rad: pose.heading_rad.map(|heading| heading + self.heading_noise_rad * random.normal()),
+            ..*pose
+        };
+        let path = Trajectory::new(path.poses().iter().map(noisy).collect())?;
+        let baselines_m: Vec<Vector3<f64>> = others.iter().map(|other| first_m - Vector3::from(*other)).collect();
+        let array = Array::new(&[Antenna::A, Antenna::B, Antenna::C][..self.antennas_m.len()], &baselines_m)?;
+        let array = if self.is_placed { array.on_trajectory() } else { array };
+        let simulation = room.run()?;
+        let mut report = one_log(&mut simulation.robots[0].replay(), &path, &array, &options())?;
+        let bearing = report.links.pop().ok_or("no sender")?.bearing?;
+        let sender_m = Vector3::from(self.scene.robot[1].position_m);
+        let way = sender_m - bearing.mean_position_m;
+        let answer = &bearing.answer;
+        let off = |azimuth: f64| csi5300::maths::wrap_rad(azimuth - way.y.atan2(way.x)).to_degrees();
+        let level = |range: &csi5300::pipeline::Range| {
+            let error = (range.position_m - sender_m).xy();
+            let covariance = range.covariance_m2.fixed_view::<2, 2>(0, 0).into_owned();
+            covariance.try_inverse().map(|inverse| error.dot(&(inverse * error)))
+        };
+        let azimuth_error_deg = off(answer.azimuth_rad);
+        Ok(Seen {
+            azimuth_error_deg,
+            folded_error_deg: answer
+                .mirror_rad
+                .map_or(f64::MAX, |mirror| off(mirror).abs())
+                .min(azimuth_error_deg.abs()),
+            azimuth_sd_deg: answer.azimuth_sd_rad.to_degrees(),
+            position_level: answer.range.filter(|_| answer.has_place()).as_ref().and_then(level),
+            confidence: answer.probability,
+            ..Seen::default()
+        })
+    }
+}
+
+/// Random scenes of one log: turns of 15 to 800 degrees, baselines of 2 to 20 cm, senders at 1.8 to 20 m, 0 to 25 dB, headings exact or
+/// with noise of 0.3 or 1 degree; in half of them only the path of the robot's middle is known, and the antennas are 5 cm off.
+fn arrays() {
+    for (place, in_room) in [("free space", false), ("rooms", true)] {
+        println!("{place}");
+        let one = |seed| {
+            let scene = ArrayScene::random(seed, in_room);
+            scene.see().ok().map(|seen| (scene.kind, seen))
+        };
+        print_shares((0..4000).into_par_iter().filter_map(one).collect(), &["turn in place", "arc", "walk"]);
+    }
+}
+
+/// How often errors are within their bars, places within their ellipses, and probabilities right.
+fn print_shares(all: Vec<(&str, Seen)>, kinds: &[&str]) {
+    for kind in kinds {
+        let seen: Vec<&Seen> = all.iter().filter(|(own, _)| own == kind).map(|(_, seen)| seen).collect();
         let share = |is: &dyn Fn(&Seen) -> bool| {
             100.0 * seen.iter().filter(|seen| is(seen)).count() as f64 / seen.len().max(1) as f64
         };
@@ -344,7 +495,7 @@ fn random() {
             100.0 * levels.iter().filter(|level| **level < most).count() as f64 / levels.len().max(1) as f64
         };
         println!(
-            "{kind:9} {:4} runs: within the bar {:3.0} %, twice the bar {:3.0} %, over three bars and a degree off {:4.1} %; within 5 degrees {said:3.0} % said, {:3.0} % true; {:4} places, within 68 % {:3.0} %, within 95 % {:3.0} %",
+            "{kind:13} {:4} runs: within the bar {:3.0} %, twice the bar {:3.0} %, over three bars and a degree off {:4.1} %; within 5 degrees {said:3.0} % said, {:3.0} % true; {:4} places, within 68 % {:3.0} %, within 95 % {:3.0} %",
             seen.len(),
             share(&|s| s.folded_error_deg < s.azimuth_sd_deg),
             share(&|s| s.folded_error_deg < 2.0 * s.azimuth_sd_deg),

@@ -124,7 +124,7 @@ struct Logs {
     #[command(flatten)]
     bag: BagArgs,
     /// Position of the first of --antennas relative to the second: metres forward, left, up; repeat it for a third antenna.
-    /// Two antennas of a robot that turns give bearings to all senders in --rx; --tx adds the answers. With the constant DEG of
+    /// Two antennas of a robot that turns give bearings to all senders in --rx, and places if it drives; --tx adds the answers. With the constant DEG of
     /// the chains and its deviation SD (`chain_constants_deg` of --json), the robot may stand
     #[arg(
         long,
@@ -206,11 +206,8 @@ fn run_other(args: &Args) -> Option<Result> {
         }
     }
     if !args.logs.baseline.is_empty() && args.logs.tx.is_empty() {
-        if args.logs.rx_mac.is_some() || args.logs.key.is_some() || args.mounting.antenna_offset.is_some() {
-            usage("with --baseline, --rx-mac, --key and --antenna-offset need --tx");
-        }
-        if args.estimation.range_min.is_some() {
-            usage("--range-min needs --tx: one robot's log shows no distance");
+        if args.logs.rx_mac.is_some() || args.logs.key.is_some() || args.estimation.range_min.is_some() {
+            usage("with --baseline, --rx-mac, --key and --range-min need --tx");
         }
         return Some(run_one_log(args));
     }
@@ -547,6 +544,7 @@ fn sender_name(inputs: &Inputs, rx: &Path, link: &LinkReport, links: usize) -> S
 fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
     let metres: Vec<Vector3<f64>> = args.logs.baseline.iter().map(|baseline| baseline.metres).collect();
     let array = Array::new(&args.estimation.antenna, &metres)?;
+    let array = if args.mounting.antenna_offset.is_some() { array.on_trajectory() } else { array };
     let constants: Vec<ChainConstant> = args.logs.baseline.iter().filter_map(|baseline| baseline.constant).collect();
     if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) }
 }
@@ -560,7 +558,7 @@ fn join_one_log(args: &Args, inputs: &Inputs, (rx, path): (&Path, &Path), report
     let mut options = options(args).unwrap_or_else(|message| usage(&message));
     // All senders: pairing by clocks has identified the transmitters.
     options.tx_macs.clear();
-    let trajectory = inputs.trajectory(path)?;
+    let trajectory = inputs.trajectory(path).and_then(|recorded| args.mounting.of_antenna(recorded))?;
     let Alone { report: one, .. } = Alone::read(inputs, rx, &trajectory, (&array, &options))?;
     for link in &mut report.links {
         let heard = one.links.iter().find(|heard| heard.mac.is_some() && heard.mac == link.mac);
@@ -585,7 +583,7 @@ fn run_one_log(args: &Args) -> Result {
         usage("--rx and --trajectory are needed");
     };
     let inputs = Inputs::files(args.logs.columns.clone());
-    let trajectory = inputs.trajectory(path)?;
+    let trajectory = inputs.trajectory(path).and_then(|recorded| args.mounting.of_antenna(recorded))?;
     let Alone { report, mut lost, notes } = Alone::read(&inputs, rx, &trajectory, (&array, &options))?;
     let mut answered = 0;
     for link in &report.links {

@@ -245,7 +245,7 @@ fn the_constant_of_a_turn_gives_a_robot_that_stands_a_bearing() {
     let [deg, sd_deg] = [0, 1].map(|k| turned["chain_constants_deg"][0][k].as_f64().unwrap());
     assert!((deg - 50.0).abs() < 4.0 * sd_deg && sd_deg < 2.0, "{deg} +- {sd_deg}");
     let alone = ["bearing", "--rx", "room.dat", "--trajectory", "t.csv", "--channel", "108", "--antennas", "A,B"];
-    folder.says(&[&alone[..], &["--baseline", "0.1,0,0", "--range-min", "2"]].concat(), 2, &["--range-min needs --tx"]);
+    folder.says(&[&alone[..], &["--baseline", "0.1,0,0", "--range-min", "2"]].concat(), 2, &["--range-min need --tx"]);
     let (status, still, _) = run("still", "", "0.025,0,0");
     assert!(status != 0 && still["error"].as_str().unwrap().contains("constant between their chains"), "{still}");
     let (status, still, err) = run("still2", "", &format!("0.025,0,0,{deg},{sd_deg}"));

@@ -174,9 +174,8 @@ fn origin(answer: &Answer) -> String {
         (Some(range), Some(sd), Some(position_m)) => {
             let [x, y, z] = position_m.map(|metres| fixed(metres, 2));
             let height = if answer.elevation_deg.is_some() { format!(", z {z}") } else { String::new() };
-            format!(
-                "  {range:.2} +- {sd:.2} m {FROM}, at x {x}, y {y}{height} m in the trajectory's frame at the last pair\n"
-            )
+            let last = if answer.chain_constants_deg.is_empty() { "at the last pair" } else { "at the end" };
+            format!("  {range:.2} +- {sd:.2} m {FROM}, at x {x}, y {y}{height} m in the trajectory's frame {last}\n")
         }
         (Some(range), Some(sd), None) => {
             let share = answer.candidates.first().map_or(0.0, |first| 100.0 * first.share);
