@@ -26,6 +26,7 @@ mod start;
 pub(crate) mod tuning;
 
 use crate::bartlett::{self, Means, Searcher, Tier};
+use crate::maths::wrap_rad;
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::Planes;
 use crate::signal::samples::Samples;
@@ -53,6 +54,8 @@ const LARGE_SHARE: f64 = 0.5;
 /// Nearest places that a motion leaves free, in its radii: outside, and where the motion goes around the transmitter.
 const OUTSIDE: f64 = 1.2;
 const INSIDE: f64 = 0.2;
+/// An azimuth of a line goes on at the next elevation if it is within so many steps.
+const LINE_STEPS: f64 = 3.0;
 /// A phase that a parallax changes by less shows none, radians.
 const SAME_DIRECTION_RAD: f64 = 0.5;
 /// From this accuracy on the grid alone will do, radians: of 71 WSR links it moves the azimuth by 1.1 degrees in the median, 2.5 at most.
@@ -520,8 +523,43 @@ struct Windowed {
 
 impl Windowed {
     fn new(field: &Field, model: Model, fine: bool) -> Self {
+        if model.is_line && model.prior.elevation_is_open() {
+            return Self::along_line(field, model, fine);
+        }
         let (evidence, modes) = posterior::modes(field, &model.prior, &model.steps, fine);
         Self { model, evidence, modes }
+    }
+
+    /// The same of motion along a level line, which shows no elevation: each one has its own azimuths. Errors of the path count the less,
+    /// the steeper the place, so that a steeper one explains more is no evidence for it.
+    fn along_line(field: &Field, model: Model, fine: bool) -> Self {
+        let (mut level, mut modes) = (None, Vec::<Mode>::new());
+        // Where the modes have come to from one elevation to the next, radians.
+        let mut azimuths: Vec<f64> = Vec::new();
+        for cell in one_wave::elevations(&model.prior) {
+            let prior = model.prior.between([cell.low, cell.high]);
+            let (evidence, own) = posterior::modes(field, &prior, &model.steps, fine);
+            let evidence = evidence - cell.mass.ln();
+            let less = (evidence - *level.get_or_insert(evidence)).min(0.0);
+            for mut mode in own {
+                mode.scale(cell.mass * less.exp());
+                let azimuth = mode.place.azimuth;
+                let off = |at: &f64| wrap_rad(at - azimuth).abs();
+                let near = azimuths.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)));
+                match near.filter(|(_, at)| off(at) < LINE_STEPS * model.steps.azimuth()).map(|(k, _)| k) {
+                    Some(k) => {
+                        modes[k].absorb(mode);
+                        azimuths[k] = azimuth;
+                    }
+                    None => {
+                        modes.push(mode);
+                        azimuths.push(azimuth);
+                    }
+                }
+            }
+        }
+        posterior::settle(&mut modes);
+        Self { model, evidence: level.unwrap_or(f64::MIN), modes }
     }
 
     /// The model with nearer places, if the nearest place is the best or most of the power comes from nearer, and with steeper ones, if

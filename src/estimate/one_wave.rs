@@ -457,8 +457,7 @@ impl Wave<'_> {
 
     /// A mode of motion that shows no elevation (along a line, say), over the elevations of the prior: each has its own azimuth and range.
     fn over_elevations(&self, mode: Mode, at: At, variance: f64) -> Mode {
-        let [low, high] = self.prior.elevation_rad;
-        let cells = self.prior.elevations([low, high], (high - low) * high.sin() / ELEVATIONS as f64);
+        let cells = elevations(self.prior);
         let own = cells.iter().rposition(|cell| cell.low <= at.place.elevation).unwrap_or(0);
         let wave = Self { open: Open([true, self.open.0[1], self.open.0[2]]), ..*self };
         let mut mixed = Vec::new();
@@ -545,6 +544,12 @@ impl Wave<'_> {
         }
         fit.at
     }
+}
+
+/// Elevations that a motion does not distinguish.
+pub(super) fn elevations(prior: &Prior) -> Vec<Cell> {
+    let [low, high] = prior.elevation_rad;
+    prior.elevations([low, high], (high - low) * high.sin() / ELEVATIONS as f64)
 }
 
 fn information(gradients: &[Gradient], variance: f64) -> Matrix4<f64> {

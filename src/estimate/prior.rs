@@ -95,6 +95,11 @@ impl Prior {
         nearer + if steeper { odds.ln() } else { 0.0 }
     }
 
+    /// The same between two elevations alone.
+    pub fn between(self, elevation_rad: [f64; 2]) -> Self {
+        Self { elevation_rad, ..self }
+    }
+
     /// The same at the horizon alone, unless a height is known.
     pub fn level(self) -> Self {
         if self.height_m.is_some() { self } else { Self { elevation_rad: [0.0; 2], ..self } }
