@@ -20,7 +20,7 @@ use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key};
 use csi5300_lab::cards::is_log;
 use csi5300_lab::evaluate::captures::{Sorted, loose_files, receiver, the_trajectory};
-use csi5300_lab::evaluate::{TRUTH_FILE, channel_number_in};
+use csi5300_lab::evaluate::{TRUTH_FILE, channel_in};
 use csi5300_lab::export::Npz;
 use csi5300_lab::kinds::trajectory_refused;
 use csi5300_say::{Level, says};
@@ -669,13 +669,13 @@ fn take_roles(args: &mut Args) -> Words<()> {
     note!("{} is the receiver's log, {} its trajectory", rx.display(), trajectory.display());
     if args.channel.is_none() {
         let folder = rx.parent().unwrap_or(Path::new(""));
-        let Some(number) = channel_number_in(folder).in_words()? else {
+        let Some(channel) = channel_in(folder).in_words()? else {
             usage(
                 "--channel is needed, such as --channel 108: no groundtruth_positions.json beside these logs names it",
             );
         };
-        args.channel = Some(number.to_string().parse().map_err(|error| format!("channel {number}: {error}"))?);
-        note!("channel {number}, by {}", folder.join(TRUTH_FILE).display());
+        args.channel = Some(channel);
+        note!("channel {channel}, by {}", folder.join(TRUTH_FILE).display());
     }
     (args.logs.rx, args.logs.trajectory) = (Some(rx), Some(trajectory));
     args.captures.clear();

@@ -526,6 +526,8 @@ fn several_links_to_known_places_locate_the_receiver_and_help_is_short_or_whole(
     // The last row is the summary.
     assert_eq!(folder.rows(&["evaluate", "room", ".", "--json"], 0).len(), 2);
     let (_, all, _) = folder.run(&["help", "--all"]);
+    folder.says(&["bearing", "room", "--channel", "108+"], 0, &[]);
+    folder.says(&["evaluate", "room", "--channel", "36"], 3, &["groundtruth_positions.json names channel 108, not 36"]);
     for words in ["  bearing ", "Seldom needed:\n", "  key ", "  completions "] {
         assert!(all.contains(words), "{words}: {all}");
     }

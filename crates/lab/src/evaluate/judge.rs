@@ -7,7 +7,7 @@ use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv::{self, CsvError};
 use csi5300::motion::pose::{Pose, Trajectory, TrajectoryError};
 use csi5300::pipeline::{Answer, Bearing, CaptureReport, LinkReport, Options, Transmitter, bearings, lost_something};
-use csi5300::signal::channel::{Channel, Width};
+use csi5300::signal::channel::Channel;
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
 use nalgebra::{Matrix2, Rotation3, Vector2, Vector3};
@@ -127,20 +127,24 @@ impl Capture {
         look: &mut Look<'_>,
     ) -> Result<Evaluated, Failure> {
         let truth = if self.has_truth() { Truth::read(&self.folder)? } else { Truth::default() };
-        let channel = match (channel, truth.channel()) {
-            (Some(channel), _) => channel,
-            (None, Some(number)) => {
-                Channel::new(number, Width::Ht20).map_err(|error| format!("{TRUTH_FILE}: {error}"))?
+        let mut notes = Vec::new();
+        let channel = match (channel, truth.channel(&self.folder)) {
+            (Some(asked), own) => {
+                // Either half of a channel of 40 MHz may be named.
+                let is_other = |own: &Channel| (own.centre_hz() - asked.centre_hz()).abs() > 15e6;
+                let own = own.ok().flatten().filter(is_other);
+                let file = self.folder.join(TRUTH_FILE);
+                notes.extend(own.map(|own| format!("{} names channel {own}, not {asked}", file.display())));
+                asked
             }
-            (None, None) => {
-                return Err(format!("unknown WiFi channel: no {TRUTH_FILE} names it; use --channel").into());
+            (None, own) => {
+                own?.ok_or_else(|| format!("unknown WiFi channel: no {TRUTH_FILE} names it; use --channel"))?
             }
         };
         if self.transmitters.is_empty() {
             let stamp = &self.stamp;
             return Err(format!("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat").into());
         }
-        let mut notes = Vec::new();
         let trajectory = self.trajectory(source, &mut notes)?;
         let reference = match source {
             TrajectorySource::GroundTruth => Some(trajectory.clone()),
