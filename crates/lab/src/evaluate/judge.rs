@@ -189,7 +189,8 @@ impl Capture {
             }
         }
         let paths = std::iter::once(&rx_path).chain(self.transmitters.iter().map(|(_, path)| path));
-        // Up to here these are losses of trajectories, or doubts about them.
+        notes.extend(rows.iter().filter_map(far));
+        // Up to here these are losses of trajectories, or doubts about them and the truth.
         let rows_lost = !notes.is_empty();
         let surveys = std::iter::once(&report.receiver).chain(&report.transmitters).map(|log| &log.survey);
         notes.extend(paths.zip(surveys).filter_map(|(path, survey)| loss_note(path, survey)));
@@ -253,6 +254,15 @@ fn loss_note(path: &Path, survey: &Survey) -> Option<String> {
         let first = first.unwrap_or_default();
         format!("{}: {damages} damaged stretches ({bytes} bytes), {bad} impossible records{first}", path.display())
     })
+}
+
+/// Largest distance of a transmitter without a doubt, metres: beyond the reach of a card, or millimetres of a room.
+const FURTHEST_M: f64 = 1_000.0;
+
+/// A line about a truth that no frame comes from, or `None`.
+fn far(row: &Judged) -> Option<String> {
+    let (link, km) = (&row.answer.link, row.true_range_m.filter(|range_m| *range_m > FURTHEST_M)? / 1_000.0);
+    Some(format!("{link}: its true place is {km:.1} km from the receiver: is it in metres, in the trajectory's frame?"))
 }
 
 /// A transmitter's true place.
@@ -459,5 +469,12 @@ mod tests {
         assert!(spans.windows(2).all(|two| two[1].0 - two[0].1 < 0.03), "{spans:?}");
         let so_far = Part::each(4).nth(2).unwrap().and_before().cut(&whole).unwrap().span_s();
         assert_eq!(so_far, (spans[0].0, spans[2].1));
+    }
+
+    #[test]
+    fn a_truth_in_millimetres_is_in_doubt() {
+        let at = |true_range_m| far(&Judged { true_range_m, ..row("a/tx1", 0.0, 0.0, 0.9) });
+        assert_eq!((at(None), at(Some(999.0))), (None, None));
+        assert!(at(Some(3368.0)).unwrap().contains("a/tx1: its true place is 3.4 km from the receiver"));
     }
 }
