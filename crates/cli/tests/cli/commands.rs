@@ -671,6 +671,10 @@ fn a_file_of_another_kind_is_named_for_what_it_is() {
 
 #[test]
 fn every_command_ends_with_2_where_it_is_used_wrongly_and_has_the_same_help() {
+    for (magic, kind) in [(&[0x28, 0xb5, 0x2f, 0xfd][..], "zstd"), (b"BZh9", "bzip2"), (b"\xfd7zXZ", "xz")] {
+        folder.write("rx.dat.packed", &[magic, &[0xff; 300]].concat());
+        folder.says(&["info", "rx.dat.packed"], 1, &[&format!("another kind of file, compressed by {kind}")]);
+    }
     let folder = Folder::new("usages");
     let (_, help, _) = folder.run(&["--help"]);
     let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
