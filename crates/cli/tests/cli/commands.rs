@@ -254,6 +254,12 @@ fn exports_hold_what_the_log_holds() {
     folder.says(&["export", "log.dat", "log.npz", "--scaled"], 0, &[]);
     assert!(std::fs::read(folder.0.join("log.npz")).unwrap().starts_with(b"PK"));
     folder.says(&["export", "log.dat", "log.xls"], 2, &["exported as .csv, .npz"]);
+    // Records of the stock layout name no sender.
+    folder.write("stock.dat", &changed(&link(20, 0.0).rx[0], |repr| repr.wsr = None));
+    folder.says(&["export", "stock.dat", "stock.csv"], 0, &[]);
+    let text = std::fs::read_to_string(folder.0.join("stock.csv")).unwrap();
+    let row: Vec<&str> = text.lines().nth(1).unwrap().split(',').collect();
+    assert_eq!(["host_us", "frame_count", "mac"].map(|name| row[column(name)]), [""; 3]);
 }
 
 #[test]
