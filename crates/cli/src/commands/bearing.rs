@@ -8,7 +8,7 @@ use super::args::{Baseline, Estimation, Mounting, baseline};
 use super::files::{BagArgs, Inputs, Log, first_of_each, must_not_be_empty, order_unknown, refuse_twice, told_apart};
 use super::{InWords, Outcome, Result, Words, hint, info, print, print_json, usage};
 use captures::MirrorOf;
-use csi_formats::{Item, Items, Why};
+use csi_formats::{Item, Items};
 use csi5300::bartlett::{self, Grid, Profile};
 use csi5300::motion::odometry::csv::{self, Columns};
 use csi5300::motion::pose::Trajectory;
@@ -18,7 +18,7 @@ use csi5300::pipeline::{
 };
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key};
-use csi5300_lab::cards::is_log;
+use csi5300_lab::cards::{CardSurvey, is_log};
 use csi5300_lab::evaluate::captures::{Sorted, loose_files, receiver, the_trajectory};
 use csi5300_lab::evaluate::{TRUTH_FILE, channel_in};
 use csi5300_lab::export::Npz;
@@ -28,6 +28,7 @@ use driver_iface::Mac;
 use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::io::{BufWriter, Write as _};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use words::{describe, doubts, explain_lines, fitted, pairs, records};
 
@@ -479,7 +480,7 @@ fn say_heard(rx: &Path, report: &CaptureReport, link: &LinkReport) {
     }
 }
 
-/// The result of another card's log, and whether some bytes were unreadable; `None` for other files.
+/// The result of another card's log, and whether something was lost or in doubt; `None` for other files.
 fn other_card(
     path: &Path,
     trajectory: &Trajectory,
@@ -488,21 +489,27 @@ fn other_card(
 ) -> Words<Option<(OneLogReport, bool)>> {
     let Some((format, bytes)) = csi5300_lab::cards::read(path) else { return Ok(None) };
     let mut one = OneLog::new(array.clone(), options.clone());
-    let (mut frames, mut without, mut lost) = (0_u64, 0_u64, 0_u64);
+    let (mut survey, mut without, mut elsewhere) = (CardSurvey::default(), 0_u64, BTreeMap::<u16, u64>::new());
+    let channel = options.channel;
     for item in Items::new(format, &bytes) {
-        match item {
-            Item::Frame(frame) => {
-                frames += 1;
-                without += u64::from(!one.note_frame(&frame));
-            }
-            Item::Skipped(skipped) => lost += if skipped.why == Why::NoCsi { 0 } else { skipped.len },
+        survey.note(&item);
+        let Item::Frame(frame) = item else { continue };
+        without += u64::from(!one.note_frame(&frame));
+        // Within half of the width, the channel may be one of several that the frame covers.
+        let half_hz = 5e5 * f64::from(frame.width_mhz.max(20));
+        let is_off = |mhz: &u16| (1e6 * f64::from(*mhz) - channel.centre_hz()).abs() > half_hz;
+        if let Some(mhz) = frame.centre_mhz.filter(is_off) {
+            *elsewhere.entry(mhz).or_default() += 1;
         }
     }
-    note!("{}: {}, {frames} frames, {without} lack an antenna", path.display(), format.name());
-    if lost > 0 {
-        note!("  not read: {lost} bytes");
+    let (frames, skipped) = (survey.frames, info::not_read(&survey.skipped));
+    notes!("{}: {}, {frames} frames, {without} lack an antenna\n{skipped}", path.display(), format.name());
+    for (mhz, count) in &elsewhere {
+        note!(
+            "  {count} of its frames are of {mhz} MHz, not of --channel {channel}: the bearing has a wrong wavelength"
+        );
     }
-    Ok(Some((one.bearings(trajectory), lost > 0)))
+    Ok(Some((one.bearings(trajectory), survey.is_damaged || !elsewhere.is_empty())))
 }
 
 /// The bearings from one log.
