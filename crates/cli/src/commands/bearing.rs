@@ -604,7 +604,7 @@ fn run_one_log(args: &Args) -> Result {
         } else {
             // With known constants, the robot may stand still.
             let stands = args.logs.baseline.iter().any(|baseline| baseline.constant.is_some());
-            let of = if stands { MirrorOf::Antennas } else { MirrorOf::Motion };
+            let of = if stands { MirrorOf::Antennas } else { MirrorOf::Turn };
             print(&describe(&answer, of, report.links.len(), "", &records(&answer)));
         }
         if let Some(error) = &answer.error {
@@ -614,7 +614,7 @@ fn run_one_log(args: &Args) -> Result {
     }
     if report.links.is_empty() {
         wrong!(
-            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows the number of chains",
+            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows how many there are, its --plot whether one is silent",
             rx.display()
         );
     }
