@@ -5,7 +5,9 @@ mod captures;
 mod words;
 
 use super::args::{Baseline, Estimation, Mounting, baseline};
-use super::files::{BagArgs, Inputs, Log, first_of_each, must_not_be_empty, order_unknown, refuse_twice, told_apart};
+use super::files::{
+    BagArgs, Inputs, Log, first_of_each, is_read_once, must_not_be_empty, order_unknown, refuse_twice, told_apart,
+};
 use super::{InWords, Outcome, Result, Words, hint, info, print, print_json, usage};
 use captures::MirrorOf;
 use csi_formats::{Item, Items};
@@ -26,9 +28,9 @@ use csi5300_lab::kinds::trajectory_refused;
 use csi5300_say::{Level, says};
 use driver_iface::Mac;
 use nalgebra::Vector3;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::{BufWriter, Write as _};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use words::{describe, doubts, explain_lines, fitted, pairs, records};
 
@@ -560,8 +562,8 @@ fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
 
 /// Combines the bearings of two logs with those of the receiver's log alone.
 fn join_one_log(args: &Args, inputs: &Inputs, (rx, path): (&Path, &Path), report: &mut CaptureReport) -> Words<()> {
-    if rx.as_os_str() == "-" {
-        usage("--baseline with --tx reads the log twice: --rx cannot be standard input");
+    if is_read_once(rx) {
+        usage("--baseline with --tx reads the log twice: --rx cannot be standard input or a pipe");
     }
     let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
     let mut options = options(args).unwrap_or_else(|message| usage(&message));
@@ -639,6 +641,10 @@ fn take_roles(args: &mut Args) -> Words<()> {
         },
         named if named.iter().all(|path| path.is_file()) => named.to_vec(),
         named => {
+            if let Some(path) = named.iter().find(|path| is_read_once(path)) {
+                let which = "name each file by --rx, --tx and --trajectory";
+                usage(&format!("{} can be read only once, too late to recognise its content: {which}", path.display()));
+            }
             let missing = named.iter().find(|path| !path.exists() && path.extension().is_some());
             return match missing.filter(|_| named.iter().any(|path| path.is_file())) {
                 Some(path) => Err(format!("{}: no such file", path.display())),

@@ -526,14 +526,14 @@ fn several_links_to_known_places_locate_the_receiver_and_help_is_short_or_whole(
     folder.says(&["simulate", "lab-circle", "--out", "room"], 0, &[]);
     let (out, _) = folder.says(&["bearing", "room"], 0, &[]);
     assert!(out.contains("truth ") && !out.contains("located from"), "one link is no place: {out}");
+    folder.says(&["bearing", "room", "--channel", "108+"], 0, &[]);
+    folder.says(&["evaluate", "room", "--channel", "36"], 3, &["groundtruth_positions.json names channel 108, not 36"]);
     // Named again, by any path or link, it is still one measurement.
     let again = ["bearing", "room", "./room/tx1", "room/../room", "--json"];
     assert_eq!(folder.rows(&again, 0).len(), 1);
     // The last row is the summary.
     assert_eq!(folder.rows(&["evaluate", "room", ".", "--json"], 0).len(), 2);
     let (_, all, _) = folder.run(&["help", "--all"]);
-    folder.says(&["bearing", "room", "--channel", "108+"], 0, &[]);
-    folder.says(&["evaluate", "room", "--channel", "36"], 3, &["groundtruth_positions.json names channel 108, not 36"]);
     for words in ["  bearing ", "Seldom needed:\n", "  key ", "  completions "] {
         assert!(all.contains(words), "{words}: {all}");
     }
@@ -671,16 +671,23 @@ fn a_file_of_another_kind_is_named_for_what_it_is() {
     for command in [&["info", "rx.npz"][..], &["export", "rx.npz", "x.csv"], &["export", "--dat", "rx.npz", "x.dat"]] {
         folder.says(command, 1, &["rx.npz is another kind of file, a ZIP archive"]);
     }
-    assert!(folder.run(&["info", "t.csv", "--plot", "."]).2.contains("another kind of file"));
-    assert!(folder.run(&["view", "t.csv"]).2.contains("another kind of file"));
-}
-
-#[test]
-fn every_command_ends_with_2_where_it_is_used_wrongly_and_has_the_same_help() {
     for (magic, kind) in [(&[0x28, 0xb5, 0x2f, 0xfd][..], "zstd"), (b"BZh9", "bzip2"), (b"\xfd7zXZ", "xz")] {
         folder.write("rx.dat.packed", &[magic, &[0xff; 300]].concat());
         folder.says(&["info", "rx.dat.packed"], 1, &[&format!("another kind of file, compressed by {kind}")]);
     }
+    assert!(folder.run(&["info", "t.csv", "--plot", "."]).2.contains("another kind of file"));
+    assert!(folder.run(&["view", "t.csv"]).2.contains("another kind of file"));
+    // What can be read only once cannot be looked at first.
+    for once in ["-", "/dev/null"] {
+        folder.says(&["bearing", once, "tx.dat", "t.csv"], 2, &["only once", "--rx, --tx and --trajectory"]);
+        folder.says(&["info", once, "--plot", "."], 2, &["only once: name a file"]);
+    }
+    folder.says(&["export", "--dat", "rx.dat", "x.npz"], 2, &["x.npz: --dat writes a log, not a table"]);
+    folder.says(&["evaluate", "nowhere"], 1, &["nowhere: no such folder"]);
+}
+
+#[test]
+fn every_command_ends_with_2_where_it_is_used_wrongly_and_has_the_same_help() {
     let folder = Folder::new("usages");
     let (_, help, _) = folder.run(&["--help"]);
     let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
