@@ -429,6 +429,20 @@ mod tests {
     }
 
     #[test]
+    fn logs_that_fit_the_trajectory_no_better_the_other_way_round_are_on_another_clock() {
+        let asked = |other: usize| {
+            let counts = |answer: &mut Answer| {
+                (answer.pair_counts.formed, answer.pair_counts.no_pose) = (2988, 1798);
+                answer.pair_counts.no_pose_by_transmitter = Some(other);
+            };
+            doubts(&answer(0.9, counts))
+        };
+        assert!(asked(0).contains("swap --rx and --tx"), "{}", asked(0));
+        assert!(asked(1482).contains("(--clock-offset)") && !asked(1482).contains("swap"), "{}", asked(1482));
+        assert_eq!(asked(1790), "");
+    }
+
+    #[test]
     fn a_mirror_has_half_of_the_probability_and_the_pair_all() {
         let two = |answer: &mut Answer| (answer.mirror_deg, answer.mirror_share) = (Some(-97.0), Some(0.5));
         let text = describe_with(&answer(0.47, two), MirrorOf::Motion, "", None);
