@@ -7,7 +7,7 @@ program=$1
 printf '# Commands\n\n'
 printf 'Every command with its options, as `csi5300 COMMAND --help` prints them. `packaging/robot.toml` explains every key of the node.\n'
 printf '`scripts/commands.sh` writes this page. "As in NAME" names options with the same text as those of another command.\n'
-for command in $("$program" help --all 2>/dev/null | awk '/^Names of the version before/ { exit } /^  [a-z]/ { print $1 }'); do
+for command in $("$program" help --all 2>/dev/null | awk '/^  [a-z]/ { print $1 }'); do
     printf '\n## %s\n\n' "$command"
     COLUMNS=100 "$program" "$command" --help 2>/dev/null | sed 's| *$||' | cat -s
 done | awk '

@@ -3,10 +3,13 @@
 usage: python examples/python/cluster.py FOLDER|s3://BUCKET/PREFIX
 """
 
+import statistics
 import sys
 
 import csi5300.ray
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
 result = csi5300.ray.evaluate(
     sys.argv[1],
     sweep={"without": [[], ["near-field"]]},
@@ -14,13 +17,13 @@ result = csi5300.ray.evaluate(
 )
 print(file=sys.stderr)
 for left_out in ([], ["near-field"]):
-    errors = sorted(
+    errors = [
         abs(row["error_from_mean_pose_deg"])
         for row in result
         if row.get("option_without") == left_out and row.get("error_from_mean_pose_deg") is not None
-    )
+    ]
     if errors:
-        print(f"without {left_out}: {len(errors)} links, median {errors[len(errors) // 2]:.2f} deg, largest {errors[-1]:.1f}")
+        print(f"without {left_out}: {len(errors)} links, median {statistics.median(errors):.2f} deg, largest {max(errors):.1f}")
 for row in result:
     if row.get("error"):
         print(f"{row['link']}: {row['error']}")

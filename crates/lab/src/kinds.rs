@@ -65,7 +65,7 @@ pub(crate) fn has_record(path: &Path) -> bool {
 
 /// Kinds of files with a magic number.
 fn binary_kind(bytes: &[u8]) -> Option<&'static str> {
-    const MARKS: [(&[u8], &str); 12] = [
+    const MARKS: [(&[u8], &str); 16] = [
         (
             b"\x89MCAP0\r\n",
             "an MCAP recording (`bearing --bag` reads one of ROS 2, `csi5300 unbag` makes logs and trajectories of it)",
@@ -74,13 +74,17 @@ fn binary_kind(bytes: &[u8]) -> Option<&'static str> {
         (b"#ROSBAG", "a recording of ROS 1 (`bearing --bag`, `csi5300 unbag`)"),
         (b"PK\x03\x04", "a ZIP archive, as .npz is"),
         (b"PAR1", "a Parquet table"),
-        (b"MATLAB 5.0", "a MATLAB file"),
+        (b"MATLAB ", "a MATLAB file"),
+        (b"\x89HDF", "an HDF5 file"),
         (&[0xd4, 0xc3, 0xb2, 0xa1], "a packet capture (pcap)"),
         (&[0xa1, 0xb2, 0xc3, 0xd4], "a packet capture (pcap)"),
         (&[0x0a, 0x0d, 0x0d, 0x0a], "a packet capture (pcapng)"),
         (b"\x89PNG", "a picture"),
         (b"\x7fELF", "a program"),
         (&[0x1f, 0x8b], "compressed by gzip"),
+        (&[0x28, 0xb5, 0x2f, 0xfd], "compressed by zstd"),
+        (b"BZh", "compressed by bzip2"),
+        (b"\xfd7zXZ", "compressed by xz"),
     ];
     MARKS.iter().find(|(mark, _)| bytes.starts_with(mark)).map(|(_, kind)| *kind)
 }

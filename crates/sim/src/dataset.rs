@@ -308,7 +308,7 @@ fn write_positions(room: &Room, receiver: usize, folder: &Path) -> Result<(), Er
         places.insert(format!("tx{robot}"), place);
     }
     let all = serde_json::json!({
-        "channel": { "desc": "wireless channel used in the 5.0 GHz range", "value": room.scene().channel },
+        "channel": { "desc": "WiFi channel; at 40 MHz and more that of the centre", "value": room.scene().channel },
         "true_rx_position": { "desc": "Position of RX_SAR robot as per the dataset map", "value": 1 },
         "true_tx_positions": { "desc": "True groundtruth positions of TX for checking accuracy", "value": places },
     });

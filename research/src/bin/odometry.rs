@@ -3,9 +3,8 @@
 
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Bearing, OdometryError, OdometryFit, Options, Transmitter, bearings};
-use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
-use csi5300_lab::evaluate::{Capture, TRUTH_FILE, TrajectorySource, channel_number_in, find};
+use csi5300_lab::evaluate::{Capture, TRUTH_FILE, TrajectorySource, channel_in, find};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -119,9 +118,9 @@ fn table(path: Given, captures: &[&Capture]) -> Fallible<()> {
 }
 
 fn judge(capture: &Capture, path: Given) -> Fallible<Vec<Row>> {
-    let number = channel_number_in(&capture.folder)?.ok_or("the file with the truth names no channel")?;
+    let channel = channel_in(&capture.folder)?.ok_or("the file with the truth names no channel")?;
     let (own, heading_sd_rad) = path.of(capture)?;
-    let options = Options { heading_sd_rad: Some(heading_sd_rad), ..Options::new(Channel::new(number, Width::Ht20)?) };
+    let options = Options { heading_sd_rad: Some(heading_sd_rad), ..Options::new(channel) };
     let truth = capture.path(TrajectorySource::GroundTruth)?;
     let places = places(capture)?;
     let run = |options: &Options| -> Fallible<Vec<Option<Bearing>>> {

@@ -4,9 +4,8 @@
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Bearing, Options, Transmitter, bearings};
-use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
-use csi5300_lab::evaluate::{Capture, TRUTH_FILE, TrajectorySource, channel_number_in, find};
+use csi5300_lab::evaluate::{Capture, TRUTH_FILE, TrajectorySource, channel_in, find};
 use csi5300_sim::random::Stream;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::{BTreeMap, BTreeSet};
@@ -174,11 +173,11 @@ fn places(capture: &Capture) -> Fallible<BTreeMap<String, Vector3<f64>>> {
 
 /// The links of a capture, with a path of the receiver, compared with motion capture and the transmitters' places.
 fn judge(capture: &Capture, odometry: Odometry) -> Fallible<Vec<Row>> {
-    let number = channel_number_in(&capture.folder)?.ok_or("the file with the truth names no channel")?;
+    let channel = channel_in(&capture.folder)?.ok_or("the file with the truth names no channel")?;
     let options = Options {
         heading_sd_rad: Some(capture.heading_sd_rad(odometry.source())),
         range_change: true,
-        ..Options::new(Channel::new(number, Width::Ht20)?)
+        ..Options::new(channel)
     };
     let path = odometry.path(capture)?;
     let truth = Odometry::Recorded(TrajectorySource::GroundTruth).path(capture)?;

@@ -1,4 +1,4 @@
-//! Logs and trajectories from recordings of ROS, the input of `csi5300 bearing` and `csi5300 compare`: MCAP and SQLite of ROS 2,
+//! Logs and trajectories from recordings of ROS, the input of `csi5300 bearing` and `csi5300 simulate`: MCAP and SQLite of ROS 2,
 //! bags of ROS 1, also compressed. [`Recording::write`] writes them to files, [`Recording::read`] reads them into memory.
 
 pub(crate) mod compressed;

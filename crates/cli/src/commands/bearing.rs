@@ -5,10 +5,12 @@ mod captures;
 mod words;
 
 use super::args::{Baseline, Estimation, Mounting, baseline};
-use super::files::{BagArgs, Inputs, Log, first_of_each, must_not_be_empty, order_unknown, refuse_twice, told_apart};
+use super::files::{
+    BagArgs, Inputs, Log, first_of_each, is_read_once, must_not_be_empty, order_unknown, refuse_twice, told_apart,
+};
 use super::{InWords, Outcome, Result, Words, hint, info, print, print_json, usage};
 use captures::MirrorOf;
-use csi_formats::{Item, Items, Why};
+use csi_formats::{Item, Items};
 use csi5300::bartlett::{self, Grid, Profile};
 use csi5300::motion::odometry::csv::{self, Columns};
 use csi5300::motion::pose::Trajectory;
@@ -18,14 +20,15 @@ use csi5300::pipeline::{
 };
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key};
-use csi5300_lab::cards::is_log;
+use csi5300_lab::cards::{CardSurvey, is_log};
 use csi5300_lab::evaluate::captures::{Sorted, loose_files, receiver, the_trajectory};
-use csi5300_lab::evaluate::{TRUTH_FILE, channel_number_in};
+use csi5300_lab::evaluate::{TRUTH_FILE, channel_in};
 use csi5300_lab::export::Npz;
 use csi5300_lab::kinds::trajectory_refused;
 use csi5300_say::{Level, says};
 use driver_iface::Mac;
 use nalgebra::Vector3;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
@@ -476,7 +479,7 @@ fn say_heard(rx: &Path, report: &CaptureReport, link: &LinkReport) {
     }
 }
 
-/// The result of another card's log, and whether some bytes were unreadable; `None` for other files.
+/// The result of another card's log, and whether something was lost or in doubt; `None` for other files.
 fn other_card(
     path: &Path,
     trajectory: &Trajectory,
@@ -485,21 +488,27 @@ fn other_card(
 ) -> Words<Option<(OneLogReport, bool)>> {
     let Some((format, bytes)) = csi5300_lab::cards::read(path) else { return Ok(None) };
     let mut one = OneLog::new(array.clone(), options.clone());
-    let (mut frames, mut without, mut lost) = (0_u64, 0_u64, 0_u64);
+    let (mut survey, mut without, mut elsewhere) = (CardSurvey::default(), 0_u64, BTreeMap::<u16, u64>::new());
+    let channel = options.channel;
     for item in Items::new(format, &bytes) {
-        match item {
-            Item::Frame(frame) => {
-                frames += 1;
-                without += u64::from(!one.note_frame(&frame));
-            }
-            Item::Skipped(skipped) => lost += if skipped.why == Why::NoCsi { 0 } else { skipped.len },
+        survey.note(&item);
+        let Item::Frame(frame) = item else { continue };
+        without += u64::from(!one.note_frame(&frame));
+        // Within half of the width, the channel may be one of several that the frame covers.
+        let half_hz = 5e5 * f64::from(frame.width_mhz.max(20));
+        let is_off = |mhz: &u16| (1e6 * f64::from(*mhz) - channel.centre_hz()).abs() > half_hz;
+        if let Some(mhz) = frame.centre_mhz.filter(is_off) {
+            *elsewhere.entry(mhz).or_default() += 1;
         }
     }
-    note!("{}: {}, {frames} frames, {without} lack an antenna", path.display(), format.name());
-    if lost > 0 {
-        note!("  not read: {lost} bytes");
+    let (frames, skipped) = (survey.frames, info::not_read(&survey.skipped));
+    notes!("{}: {}, {frames} frames, {without} lack an antenna\n{skipped}", path.display(), format.name());
+    for (mhz, count) in &elsewhere {
+        note!(
+            "  {count} of its frames are of {mhz} MHz, not of --channel {channel}: the bearing has a wrong wavelength"
+        );
     }
-    Ok(Some((one.bearings(trajectory), lost > 0)))
+    Ok(Some((one.bearings(trajectory), survey.is_damaged || !elsewhere.is_empty())))
 }
 
 /// The bearings from one log.
@@ -551,8 +560,8 @@ fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
 
 /// Combines the bearings of two logs with those of the receiver's log alone.
 fn join_one_log(args: &Args, inputs: &Inputs, (rx, path): (&Path, &Path), report: &mut CaptureReport) -> Words<()> {
-    if rx.as_os_str() == "-" {
-        usage("--baseline with --tx reads the log twice: --rx cannot be standard input");
+    if is_read_once(rx) {
+        usage("--baseline with --tx reads the log twice: --rx cannot be standard input or a pipe");
     }
     let array = array(args).unwrap_or_else(|error| usage(&format!("--antennas, --baseline: {error}")));
     let mut options = options(args).unwrap_or_else(|message| usage(&message));
@@ -595,7 +604,7 @@ fn run_one_log(args: &Args) -> Result {
         } else {
             // With known constants, the robot may stand still.
             let stands = args.logs.baseline.iter().any(|baseline| baseline.constant.is_some());
-            let of = if stands { MirrorOf::Antennas } else { MirrorOf::Motion };
+            let of = if stands { MirrorOf::Antennas } else { MirrorOf::Turn };
             print(&describe(&answer, of, report.links.len(), "", &records(&answer)));
         }
         if let Some(error) = &answer.error {
@@ -605,7 +614,7 @@ fn run_one_log(args: &Args) -> Result {
     }
     if report.links.is_empty() {
         wrong!(
-            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows the number of chains",
+            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows how many there are, its --plot whether one is silent",
             rx.display()
         );
     }
@@ -630,6 +639,10 @@ fn take_roles(args: &mut Args) -> Words<()> {
         },
         named if named.iter().all(|path| path.is_file()) => named.to_vec(),
         named => {
+            if let Some(path) = named.iter().find(|path| is_read_once(path)) {
+                let which = "name each file by --rx, --tx and --trajectory";
+                usage(&format!("{} can be read only once, too late to recognise its content: {which}", path.display()));
+            }
             let missing = named.iter().find(|path| !path.exists() && path.extension().is_some());
             return match missing.filter(|_| named.iter().any(|path| path.is_file())) {
                 Some(path) => Err(format!("{}: no such file", path.display())),
@@ -667,13 +680,13 @@ fn take_roles(args: &mut Args) -> Words<()> {
     note!("{} is the receiver's log, {} its trajectory", rx.display(), trajectory.display());
     if args.channel.is_none() {
         let folder = rx.parent().unwrap_or(Path::new(""));
-        let Some(number) = channel_number_in(folder).in_words()? else {
+        let Some(channel) = channel_in(folder).in_words()? else {
             usage(
                 "--channel is needed, such as --channel 108: no groundtruth_positions.json beside these logs names it",
             );
         };
-        args.channel = Some(number.to_string().parse().map_err(|error| format!("channel {number}: {error}"))?);
-        note!("channel {number}, by {}", folder.join(TRUTH_FILE).display());
+        args.channel = Some(channel);
+        note!("channel {channel}, by {}", folder.join(TRUTH_FILE).display());
     }
     (args.logs.rx, args.logs.trajectory) = (Some(rx), Some(trajectory));
     args.captures.clear();

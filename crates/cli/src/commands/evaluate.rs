@@ -149,10 +149,11 @@ fn find_all<'a>(folders: impl Iterator<Item = &'a PathBuf>) -> Words<(Vec<Captur
     let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
     for folder in folders {
         if !folder.is_dir() {
-            return Err(format!(
-                "{} is not a folder: put the files of a capture into one, and name that",
-                folder.display()
-            ));
+            let name = folder.display();
+            return Err(match folder.exists() {
+                true => format!("{name} is not a folder: put the files of a capture into one, and name that"),
+                false => format!("{name}: no such folder"),
+            });
         }
         let (found, failed) = find(folder);
         add_names(&found, &failed);

@@ -107,6 +107,9 @@ struct Written {
 /// Writes the CSI of a log.
 pub fn run(args: &Args) -> Result {
     if args.dat {
+        if is_known(&args.output) {
+            usage(&format!("{}: --dat writes a log, not a table: drop --dat, or name a .dat", args.output.display()));
+        }
         return recover::run(args);
     }
     let extension = args.output.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);

@@ -113,6 +113,11 @@ pub fn is_same_file(input: &Path, output: &Path) -> bool {
     }
 }
 
+/// True for standard input and pipes, whose content is gone after the first reader.
+pub fn is_read_once(path: &Path) -> bool {
+    path.as_os_str() == "-" || path.metadata().is_ok_and(|meta| !meta.is_file() && !meta.is_dir())
+}
+
 /// Ends the program if a log is given twice.
 pub fn refuse_twice<'a>(logs: impl Iterator<Item = &'a PathBuf> + Clone) {
     let is_same = |a: &Path, b: &Path| a == b || is_same_file(a, b);

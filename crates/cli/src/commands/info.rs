@@ -516,8 +516,8 @@ struct Pictures {
 /// Draws a log, if requested; returns the pictures, which have this name.
 fn draw_pictures(args: &Pictures, log: &Path, name: &str) -> Words<Vec<PathBuf>> {
     let Some(folder) = &args.plot else { return Ok(Vec::new()) };
-    if log.as_os_str() == "-" {
-        usage("a log is read again for its pictures, and standard input only once: name a file");
+    if files::is_read_once(log) {
+        usage("a log is read again for its pictures, and standard input or a pipe only once: name a file");
     }
     if !cards::is_log(log) {
         files::must_be_log(log)?;

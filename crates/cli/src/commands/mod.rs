@@ -14,7 +14,6 @@ mod info;
 mod key;
 mod live;
 mod mcap;
-mod old;
 mod record;
 mod replay;
 mod setup;
@@ -54,7 +53,7 @@ impl<T, E: std::fmt::Display> InWords<T> for std::result::Result<T, E> {
 #[command(
     name = "csi5300",
     version,
-    after_help = "`csi5300 help --all` lists rarely needed commands and the new names of old ones.\n\nExit status of every command:\n  \
+    after_help = "`csi5300 help --all` lists rarely needed commands, too.\n\nExit status of every command:\n  \
                   0  done; a log cut at its end, a room that ends and a stop by a signal are normal\n  \
                   1  nothing usable: a file that is missing or cannot be written, no link with a bearing, no record\n  \
                   2  wrong usage: an invalid argument, extension, configuration or scene\n  \
@@ -136,29 +135,25 @@ pub fn run() -> ExitCode {
     // A file at the size limit (`ulimit -f`) acts as a full disk: the write fails with EFBIG, and the signal is
     // blocked.
     let _ = nix::sys::signal::SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
-    let mut args: Vec<_> = std::env::args_os().collect();
+    let args: Vec<_> = std::env::args_os().collect();
     say::add_names(args.iter().skip(1).cloned());
     if args.get(1..).is_some_and(|rest| *rest == ["help", "--all"]) {
-        print(&old::all(&Cli::command()));
+        print(&all(&Cli::command()));
         return ExitCode::SUCCESS;
     }
-    let moved = old::rename(&mut args);
     let mut command = Cli::command();
     let parsed = command.try_get_matches_from_mut(args).and_then(|matches| {
         let cli = Cli::from_arg_matches(&matches).map_err(|error| error.format(&mut command))?;
         Ok((cli, matches))
     });
-    let (cli, matches) = parsed.unwrap_or_else(|error| {
-        moved.iter().for_each(|words| notes!("{words}\n"));
-        say::misused(&error.render().to_string(), error.exit_code(), || error.exit())
-    });
+    let (cli, matches) =
+        parsed.unwrap_or_else(|error| say::misused(&error.render().to_string(), error.exit_code(), || error.exit()));
     let level = match (cli.quiet, cli.verbose) {
         (true, _) => Level::Quiet,
         (false, false) => Level::Usual,
         (false, true) => Level::Verbose,
     };
     say::set("csi5300", level, cli.color);
-    moved.iter().for_each(|words| note!("{words}"));
     let result = outputs_are_no_inputs(&command, &matches).and_then(|()| execute(cli.command));
     detail!("{}", say::used(begun));
     match result {
@@ -169,6 +164,19 @@ pub fn run() -> ExitCode {
             Outcome::Nothing.into()
         }
     }
+}
+
+/// Every command, hidden ones too.
+fn all(cli: &clap::Command) -> String {
+    let mut text = String::new();
+    for hidden in [false, true] {
+        text += if hidden { "\nSeldom needed:\n" } else { "Commands:\n" };
+        for one in cli.get_subcommands().filter(|one| one.is_hide_set() == hidden) {
+            let about = one.get_about().map(ToString::to_string).unwrap_or_default();
+            text += &format!("  {:<12} {about}\n", one.get_name());
+        }
+    }
+    text
 }
 
 /// Options and arguments that name outputs. All others that name files or folders are inputs.
@@ -387,7 +395,7 @@ mod tests {
         assert!(own.iter().all(|(_, about)| about.as_ref().is_some_and(|about| !about.is_empty())), "{own:?}");
     }
 
-    /// Long options of a command and its subcommands, without global ones, help, and names of the version before.
+    /// Long options of a command and its subcommands, without global and hidden ones and help.
     fn options(command: &Command) -> usize {
         let is_own = |arg: &&Arg| {
             !arg.is_global_set()

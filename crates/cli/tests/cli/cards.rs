@@ -219,6 +219,8 @@ fn all_subcarriers_of_another_card_are_exported() {
         let one = ["--antennas", "A,B", "--baseline", "0.05,0,0", "--clock-offset", "rows"];
         let (_, _, err) = folder.run(&[&["bearing", log, &path, "--channel", "64"], &one[..]].concat());
         assert!(err.contains("is the receiver's log") && err.contains(" lack an antenna"), "{name}: {err}");
+        // The frames say which channel they came on.
+        assert!(err.contains(" MHz, not of --channel 64: the bearing has a wrong wavelength"), "{name}: {err}");
     }
 }
 

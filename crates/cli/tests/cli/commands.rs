@@ -254,6 +254,12 @@ fn exports_hold_what_the_log_holds() {
     folder.says(&["export", "log.dat", "log.npz", "--scaled"], 0, &[]);
     assert!(std::fs::read(folder.0.join("log.npz")).unwrap().starts_with(b"PK"));
     folder.says(&["export", "log.dat", "log.xls"], 2, &["exported as .csv, .npz"]);
+    // Records of the stock layout name no sender.
+    folder.write("stock.dat", &changed(&link(20, 0.0).rx[0], |repr| repr.wsr = None));
+    folder.says(&["export", "stock.dat", "stock.csv"], 0, &[]);
+    let text = std::fs::read_to_string(folder.0.join("stock.csv")).unwrap();
+    let row: Vec<&str> = text.lines().nth(1).unwrap().split(',').collect();
+    assert_eq!(["host_us", "frame_count", "mac"].map(|name| row[column(name)]), [""; 3]);
 }
 
 #[test]
@@ -515,23 +521,20 @@ fn the_suite_writes_a_row_for_each_repetition() {
 }
 
 #[test]
-fn several_links_to_known_places_locate_the_receiver_and_old_names_say_the_new_ones() {
+fn several_links_to_known_places_locate_the_receiver_and_help_is_short_or_whole() {
     let folder = Folder::new("located");
     folder.says(&["simulate", "lab-circle", "--out", "room"], 0, &[]);
     let (out, _) = folder.says(&["bearing", "room"], 0, &[]);
     assert!(out.contains("truth ") && !out.contains("located from"), "one link is no place: {out}");
+    folder.says(&["bearing", "room", "--channel", "108+"], 0, &[]);
+    folder.says(&["evaluate", "room", "--channel", "36"], 3, &["groundtruth_positions.json names channel 108, not 36"]);
     // Named again, by any path or link, it is still one measurement.
     let again = ["bearing", "room", "./room/tx1", "room/../room", "--json"];
     assert_eq!(folder.rows(&again, 0).len(), 1);
     // The last row is the summary.
     assert_eq!(folder.rows(&["evaluate", "room", ".", "--json"], 0).len(), 2);
-    let (status, moved, err) = folder.run(&["explain", "room"]);
-    assert!(err.contains("`csi5300 explain` is `csi5300 bearing --explain` now"), "{err}");
-    assert_eq!((status, &moved), (0, &folder.run(&["bearing", "--explain", "room"]).1));
     let (_, all, _) = folder.run(&["help", "--all"]);
-    for words in
-        ["  key ", "  completions ", "  locate       csi5300 bearing\n", "  respond      csi5300 sound --answer\n"]
-    {
+    for words in ["  bearing ", "Seldom needed:\n", "  key ", "  completions "] {
         assert!(all.contains(words), "{words}: {all}");
     }
     let (_, short, _) = folder.run(&["bearing", "-h"]);
@@ -668,8 +671,19 @@ fn a_file_of_another_kind_is_named_for_what_it_is() {
     for command in [&["info", "rx.npz"][..], &["export", "rx.npz", "x.csv"], &["export", "--dat", "rx.npz", "x.dat"]] {
         folder.says(command, 1, &["rx.npz is another kind of file, a ZIP archive"]);
     }
+    for (magic, kind) in [(&[0x28, 0xb5, 0x2f, 0xfd][..], "zstd"), (b"BZh9", "bzip2"), (b"\xfd7zXZ", "xz")] {
+        folder.write("rx.dat.packed", &[magic, &[0xff; 300]].concat());
+        folder.says(&["info", "rx.dat.packed"], 1, &[&format!("another kind of file, compressed by {kind}")]);
+    }
     assert!(folder.run(&["info", "t.csv", "--plot", "."]).2.contains("another kind of file"));
     assert!(folder.run(&["view", "t.csv"]).2.contains("another kind of file"));
+    // What can be read only once cannot be looked at first.
+    for once in ["-", "/dev/null"] {
+        folder.says(&["bearing", once, "tx.dat", "t.csv"], 2, &["only once", "--rx, --tx and --trajectory"]);
+        folder.says(&["info", once, "--plot", "."], 2, &["only once: name a file"]);
+    }
+    folder.says(&["export", "--dat", "rx.dat", "x.npz"], 2, &["x.npz: --dat writes a log, not a table"]);
+    folder.says(&["evaluate", "nowhere"], 1, &["nowhere: no such folder"]);
 }
 
 #[test]

@@ -6,6 +6,7 @@ use csi5300::Log;
 use csi5300::internal::heading;
 use csi5300::motion::odometry::csv::{self, Columns};
 use csi5300::motion::pose::Mount;
+use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::survey::Survey;
 use nalgebra::Vector2;
 use serde::Deserialize;
@@ -407,13 +408,21 @@ const FURTHEST_M: f64 = 1e6;
 
 #[derive(Default, Deserialize)]
 pub(super) struct Truth {
-    channel: Option<Value<u32>>,
+    channel: Option<Value<Named>>,
     true_tx_positions: Option<Value<BTreeMap<String, TruePose>>>,
 }
 
 #[derive(Deserialize)]
 struct Value<T> {
     value: T,
+}
+
+/// A channel by its number, above 20 MHz its centre's, or as `--channel` takes it.
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "expected a channel: 108, \"36+\" or \"5290MHz\"")]
+enum Named {
+    Number(u32),
+    Words(String),
 }
 
 #[derive(Deserialize)]
@@ -445,12 +454,12 @@ fn read(path: &Path) -> Result<Vec<u8>, Failure> {
     }
 }
 
-/// The channel number in the truth file of a folder, if it has one that names a channel.
+/// The channel in the truth file of a folder, if it has one that names a channel.
 ///
 /// # Errors
-/// If the file cannot be read.
-pub fn channel_number_in(folder: &Path) -> Result<Option<u32>, Failure> {
-    if folder.join(TRUTH_FILE).is_file() { Ok(Truth::read(folder)?.channel()) } else { Ok(None) }
+/// If the file cannot be read, or if there is no such channel.
+pub fn channel_in(folder: &Path) -> Result<Option<Channel>, Failure> {
+    if folder.join(TRUTH_FILE).is_file() { Truth::read(folder)?.channel(folder) } else { Ok(None) }
 }
 
 impl Truth {
@@ -458,7 +467,9 @@ impl Truth {
     pub(super) fn read(folder: &Path) -> Result<Self, Failure> {
         let path = folder.join(TRUTH_FILE);
         let text = read(&path)?;
-        let truth: Self = serde_json::from_slice(&text).map_err(|source| invalid(&path, &source))?;
+        // The mark that editors on Windows put before UTF-8.
+        let json = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text);
+        let truth: Self = serde_json::from_slice(json).map_err(|source| invalid(&path, &source))?;
         match truth.far() {
             Some(transmitter) => {
                 Err(invalid(&path, &format_args!("{transmitter} is further than 1e6 m from the origin")))
@@ -474,9 +485,13 @@ impl Truth {
         all.into_iter().find(|(_, pose)| is_far(&pose.position)).map(|(name, _)| name.as_str())
     }
 
-    /// The channel's number, if the file names one.
-    pub(super) fn channel(&self) -> Option<u32> {
-        self.channel.as_ref().map(|channel| channel.value)
+    /// The channel, if the file, that of `folder`, names one.
+    pub(super) fn channel(&self, folder: &Path) -> Result<Option<Channel>, Failure> {
+        let channel = self.channel.as_ref().map(|channel| match &channel.value {
+            Named::Number(number) => Channel::new(*number, Width::Ht20),
+            Named::Words(words) => words.parse(),
+        });
+        channel.transpose().map_err(|error| invalid(&folder.join(TRUTH_FILE), &error))
     }
 
     /// The place of a transmitter (`tx2`), metres.
@@ -507,6 +522,19 @@ mod tests {
         let long = |bytes: u64| format!("{{}}{}", " ".repeat(bytes as usize - 2));
         let error = read(&long(LONGEST + 1)).unwrap_err();
         assert!(error.contains("1048577 bytes; a truth file has at most 1048576"), "{error}");
-        assert!(read(&long(LONGEST)).is_ok() && read("{}").is_ok());
+        assert!(read(&long(LONGEST)).is_ok() && read("{}").is_ok() && read("\u{feff}{}").is_ok());
+    }
+
+    #[test]
+    fn a_truth_file_names_channels_by_number_or_as_the_command_does() {
+        let folder = &crate::temporary::Temporary::folder("channel").0;
+        let named = |value: &str| {
+            std::fs::write(folder.join(TRUTH_FILE), format!(r#"{{"channel": {{"value": {value}}}}}"#)).unwrap();
+            channel_in(folder).map(|channel| channel.unwrap().centre_hz() / 1e6).map_err(|error| error.to_string())
+        };
+        // 110 is the centre of 108+, as of simulated rooms of 40 MHz.
+        assert_eq!((named("110"), named(r#""108+""#), named(r#""5550MHz""#)), (Ok(5550.0), Ok(5550.0), Ok(5550.0)));
+        assert!(named("5540").unwrap_err().contains("groundtruth_positions.json: `5540` is no channel"));
+        assert!(named("[36]").unwrap_err().contains(r#"expected a channel: 108, "36+" or"#));
     }
 }

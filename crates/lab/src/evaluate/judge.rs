@@ -7,7 +7,7 @@ use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv::{self, CsvError};
 use csi5300::motion::pose::{Pose, Trajectory, TrajectoryError};
 use csi5300::pipeline::{Answer, Bearing, CaptureReport, LinkReport, Options, Transmitter, bearings, lost_something};
-use csi5300::signal::channel::{Channel, Width};
+use csi5300::signal::channel::Channel;
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
 use nalgebra::{Matrix2, Rotation3, Vector2, Vector3};
@@ -127,20 +127,24 @@ impl Capture {
         look: &mut Look<'_>,
     ) -> Result<Evaluated, Failure> {
         let truth = if self.has_truth() { Truth::read(&self.folder)? } else { Truth::default() };
-        let channel = match (channel, truth.channel()) {
-            (Some(channel), _) => channel,
-            (None, Some(number)) => {
-                Channel::new(number, Width::Ht20).map_err(|error| format!("{TRUTH_FILE}: {error}"))?
+        let mut notes = Vec::new();
+        let channel = match (channel, truth.channel(&self.folder)) {
+            (Some(asked), own) => {
+                // Either half of a channel of 40 MHz may be named.
+                let is_other = |own: &Channel| (own.centre_hz() - asked.centre_hz()).abs() > 15e6;
+                let own = own.ok().flatten().filter(is_other);
+                let file = self.folder.join(TRUTH_FILE);
+                notes.extend(own.map(|own| format!("{} names channel {own}, not {asked}", file.display())));
+                asked
             }
-            (None, None) => {
-                return Err(format!("unknown WiFi channel: no {TRUTH_FILE} names it; use --channel").into());
+            (None, own) => {
+                own?.ok_or_else(|| format!("unknown WiFi channel: no {TRUTH_FILE} names it; use --channel"))?
             }
         };
         if self.transmitters.is_empty() {
             let stamp = &self.stamp;
             return Err(format!("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat").into());
         }
-        let mut notes = Vec::new();
         let trajectory = self.trajectory(source, &mut notes)?;
         let reference = match source {
             TrajectorySource::GroundTruth => Some(trajectory.clone()),
@@ -185,7 +189,8 @@ impl Capture {
             }
         }
         let paths = std::iter::once(&rx_path).chain(self.transmitters.iter().map(|(_, path)| path));
-        // Up to here these are losses of trajectories, or doubts about them.
+        notes.extend(rows.iter().filter_map(far));
+        // Up to here these are losses of trajectories, or doubts about them and the truth.
         let rows_lost = !notes.is_empty();
         let surveys = std::iter::once(&report.receiver).chain(&report.transmitters).map(|log| &log.survey);
         notes.extend(paths.zip(surveys).filter_map(|(path, survey)| loss_note(path, survey)));
@@ -249,6 +254,15 @@ fn loss_note(path: &Path, survey: &Survey) -> Option<String> {
         let first = first.unwrap_or_default();
         format!("{}: {damages} damaged stretches ({bytes} bytes), {bad} impossible records{first}", path.display())
     })
+}
+
+/// Largest distance of a transmitter without a doubt, metres: beyond the reach of a card, or millimetres of a room.
+const FURTHEST_M: f64 = 1_000.0;
+
+/// A line about a truth that no frame comes from, or `None`.
+fn far(row: &Judged) -> Option<String> {
+    let (link, km) = (&row.answer.link, row.true_range_m.filter(|range_m| *range_m > FURTHEST_M)? / 1_000.0);
+    Some(format!("{link}: its true place is {km:.1} km from the receiver: is it in metres, in the trajectory's frame?"))
 }
 
 /// A transmitter's true place.
@@ -455,5 +469,12 @@ mod tests {
         assert!(spans.windows(2).all(|two| two[1].0 - two[0].1 < 0.03), "{spans:?}");
         let so_far = Part::each(4).nth(2).unwrap().and_before().cut(&whole).unwrap().span_s();
         assert_eq!(so_far, (spans[0].0, spans[2].1));
+    }
+
+    #[test]
+    fn a_truth_in_millimetres_is_in_doubt() {
+        let at = |true_range_m| far(&Judged { true_range_m, ..row("a/tx1", 0.0, 0.0, 0.9) });
+        assert_eq!((at(None), at(Some(999.0))), (None, None));
+        assert!(at(Some(3368.0)).unwrap().contains("a/tx1: its true place is 3.4 km from the receiver"));
     }
 }

@@ -56,6 +56,7 @@ fn fields(export: &Export<'_>, figures: &Figures, k: usize) -> String {
     let all = export.columns;
     let [time_us, host_us, frame] = [&all.time_us, &all.host_us, &all.frame].map(|column| column[k]);
     let [rss_dbm, scale] = [&figures.rss_dbm, &figures.scale].map(|column| known(column[k], !column[k].is_nan()));
+    let mac = all.mac.as_chunks::<6>().0.get(k).copied().map_or(Mac::ZERO, Mac);
     let [rssi_a, rssi_b, rssi_c] = [0, 1, 2].map(|port| all.rssi[3 * k + port]);
     format!(
         "{time_us},{},{},{},{},{},{},{rssi_a},{rssi_b},{rssi_c},{},{},{},{},{},{rss_dbm},{scale},{k},{}",
@@ -70,6 +71,6 @@ fn fields(export: &Export<'_>, figures: &Figures, k: usize) -> String {
         all.antenna_sel[k],
         all.rate[k],
         u8::from(all.antenna_order[3 * k] != NO_ANTENNA),
-        all.mac.as_chunks::<6>().0.get(k).copied().map_or(Mac::ZERO, Mac)
+        known(mac, !mac.is_zero())
     )
 }

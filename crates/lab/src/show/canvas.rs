@@ -47,14 +47,25 @@ fn colour(c: Rgb) -> Color {
     Color::Rgb(c.0, c.1, c.2)
 }
 
+/// A text of at most `most` letters: a longer one loses its middle.
+fn shortened(text: &str, most: usize) -> String {
+    let n = text.chars().count();
+    if n <= most {
+        return text.to_owned();
+    }
+    let half = most.saturating_sub(3) / 2;
+    text.chars().take(half).chain("...".chars()).chain(text.chars().skip(n - half)).collect()
+}
+
 impl Canvas {
     pub(super) fn new(height: f64, title: &str) -> Self {
         let mut scene = Scene::new(WIDTH, height);
         scene.font_family = Some("DejaVu Sans, Verdana, sans-serif".into());
         let mut canvas = Self(scene);
         // A character is 0.6 of its size wide.
+        let title = shortened(title, 140);
         let size = (WIDTH - 20.0) / (0.6 * title.chars().count().max(1) as f64);
-        canvas.text((WIDTH / 2.0, 42.0), title, size.clamp(14.0, 28.0) as u32, TextAnchor::Middle, BLACK);
+        canvas.text((WIDTH / 2.0, 42.0), &title, size.clamp(14.0, 28.0) as u32, TextAnchor::Middle, BLACK);
         canvas
     }
 
@@ -158,10 +169,11 @@ impl Canvas {
 
     /// Legend rows centred below `y`, outside the axes; returns their height.
     pub(super) fn legend(&mut self, y: f64, entries: &[(Key, Rgb, String)]) -> f64 {
+        let entries: Vec<_> = entries.iter().map(|(key, colour, name)| (*key, *colour, shortened(name, 85))).collect();
         let width = |e: &(Key, Rgb, String)| 80.0 + 12.5 * e.2.chars().count() as f64;
         let mut rows: Vec<Vec<&(Key, Rgb, String)>> = vec![vec![]];
         let mut used = 0.0;
-        for e in entries {
+        for e in &entries {
             if used + width(e) > self.0.width - 40.0 && used > 0.0 {
                 rows.push(vec![]);
                 used = 0.0;

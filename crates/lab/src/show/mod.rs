@@ -129,6 +129,21 @@ mod tests {
     }
 
     #[test]
+    fn names_longer_than_a_picture_keep_their_ends() {
+        let at = &Temporary::path("long").0;
+        let title = format!("set{}: bearings", "x".repeat(200));
+        let mut long = Chart { title, ..chart(Look::Steps, vec![(1.0, 1.0), (2.0, 2.0)]) };
+        long.series[0].name = format!("set{} (median 1.00)", "x".repeat(100));
+        let texts = written_in(&std::fs::read_to_string(&long.write(&at.join("chart")).unwrap()[1]).unwrap());
+        let fits = |end: &str, most: usize| {
+            texts
+                .iter()
+                .any(|(text, ..)| text.starts_with("set") && text.ends_with(end) && text.chars().count() <= most)
+        };
+        assert!(fits("x: bearings", 140) && fits("x (median 1.00)", 85), "{texts:?}");
+    }
+
+    #[test]
     fn the_name_of_an_axis_is_below_the_legend() {
         let at = &Temporary::path("below").0;
         let chart = Chart { y_label: "axis".into(), ..chart(Look::Steps, vec![(1.0, 1.0), (2.0, 2.0)]) };

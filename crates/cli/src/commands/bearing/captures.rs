@@ -270,6 +270,8 @@ fn true_azimuth(head: &str, row: &Judged) -> Option<String> {
 pub enum MirrorOf {
     /// One antenna of a robot that drives.
     Motion,
+    /// Several antennas of a robot that turns.
+    Turn,
     /// Several antennas of a robot that stands.
     Antennas,
 }
@@ -281,6 +283,8 @@ pub fn mirror(answer: &Answer, of: MirrorOf) -> Option<String> {
     let shape = match (of, &height) {
         (MirrorOf::Motion, None) => "motion along a line",
         (MirrorOf::Motion, Some(_)) => "motion in a plane",
+        (MirrorOf::Turn, None) => "so small a turn",
+        (MirrorOf::Turn, Some(_)) => "a turn in a plane",
         (MirrorOf::Antennas, None) => "antennas on a line",
         (MirrorOf::Antennas, Some(_)) => "antennas in a plane",
     };

@@ -104,8 +104,8 @@ fn describe_with(answer: &Answer, of: MirrorOf, doubts: &str, details: Option<&s
     }
     text += doubts;
     // If the logs may have been exchanged, that question stands above.
-    if sure(answer).is_some_and(|sure| sure < FAIR) && !answer.pair_counts.may_be_exchanged() {
-        text += &why(answer);
+    if answer.confidence.is_some() && is_poor(answer) && !answer.pair_counts.may_be_exchanged() {
+        text += &why(answer, of);
         // With `-v` the candidates stand among the details.
         if details.is_none() {
             text += &next_step(answer);
@@ -125,8 +125,8 @@ pub(super) fn fitted(fit: &OdometryFit, given_m: Vector3<f64>) -> String {
     if fit.refused.is_none() && forward.known && left.known {
         // An arm is as long as it was given, but turned with the corrected heading.
         let given_m = given_m * (1.0 + fit.scale.value) / (1.0 + fit.turn.value);
-        let (x, y) = (given_m.x + forward.value, given_m.y + left.value);
-        let _ = writeln!(text, "  from now on: --antenna-offset {x:.3},{y:.3},{}", given_m.z);
+        let [x, y] = [given_m.x + forward.value, given_m.y + left.value].map(|metres| fixed(metres, 3));
+        let _ = writeln!(text, "  from now on: --antenna-offset {x},{y},{}", given_m.z);
     }
     text
 }
@@ -139,6 +139,10 @@ fn has_rival(answer: &Answer) -> bool {
 /// Probability that the answer, or its mirror, is within five degrees.
 fn sure(answer: &Answer) -> Option<f64> {
     answer.confidence.map(|confidence| (confidence / (1.0 - answer.mirror_share.unwrap_or(0.0))).min(1.0))
+}
+
+fn is_poor(answer: &Answer) -> bool {
+    sure(answer).map_or_else(|| is_wide(answer), |sure| sure < FAIR)
 }
 
 fn is_wide(answer: &Answer) -> bool {
@@ -190,17 +194,25 @@ fn origin(answer: &Answer) -> String {
 }
 
 /// What makes an answer poor.
-fn why(answer: &Answer) -> String {
+fn why(answer: &Answer, of: MirrorOf) -> String {
+    let drives = matches!(of, MirrorOf::Motion);
     if let Some(coherence) = answer.coherence.filter(|coherence| *coherence < LITTLE) {
+        let wrong = if drives {
+            "the path is not that of the antenna (--antenna-offset, --clock-offset)"
+        } else {
+            "the antennas or their places are others (--antennas, --baseline), the clocks differ (--clock-offset)"
+        };
         format!(
-            "  Why: one wave explains only {:.0} % of the phases along this path. There are reflections, the path is not that \
-             of the antenna (--antenna-offset, --clock-offset), or --channel is not the cards' channel.\n",
+            "  Why: one wave explains only {:.0} % of the phases along this path. There are reflections, {wrong}, or --channel \
+             is not the cards' channel.\n",
             100.0 * coherence
         )
     } else if has_rival(answer) {
         "  Why: other directions explain the samples about as well.\n".into()
-    } else {
+    } else if drives {
         "  Why: the peak is wide. A longer drive or one with a turn makes it narrower; with wheel odometry, so does --antenna-offset.\n".into()
+    } else {
+        "  Why: the peak is wide. A further turn or a longer baseline makes it narrower.\n".into()
     }
 }
 
@@ -324,7 +336,8 @@ pub(super) fn records(answer: &Answer) -> String {
             "  constant of the chains {deg:.2} +- {sd_deg:.2} deg: for a robot that stands, --baseline X,Y,Z,{deg:.2},{sd_deg:.2}\n"
         )
     };
-    let constants: String = answer.chain_constants_deg.iter().map(constant).collect();
+    // Of a poor answer, it belongs to a direction that is as unknown.
+    let constants: String = answer.chain_constants_deg.iter().filter(|_| !is_poor(answer)).map(constant).collect();
     format!(
         "  {} with all antennas: {} in the turn ({}), {} while it did not turn, {} without a pose, {} cut{}\n{constants}",
         some(answer.pairs as u64, "record", "records"),
@@ -341,9 +354,13 @@ pub(super) fn records(answer: &Answer) -> String {
 fn exchanged(counts: &PairCounts) -> String {
     let fewer = counts.no_pose_by_transmitter.filter(|_| counts.may_be_exchanged());
     fewer.map_or(String::new(), |other| {
+        let next = if MANY_TWICE * other as f64 > counts.formed as f64 {
+            "Is the trajectory on the receiver's clock (--clock-offset)?"
+        } else {
+            "Were the two logs exchanged? Then swap --rx and --tx"
+        };
         format!(
-            "  {} of {} pairs have no pose; by the times of the transmitter's log {other} would have none. Were the two logs \
-             exchanged? Then swap --rx and --tx\n",
+            "  {} of {} pairs have no pose; by the times of the transmitter's log {other} would have none. {next}\n",
             counts.no_pose, counts.formed
         )
     })
@@ -393,6 +410,35 @@ mod tests {
         assert!(describe_with(&answer(0.6, |_| ()), MirrorOf::Motion, "", None).contains("FAIR: 60 %"));
         let wide = describe_with(&answer(0.35, |answer| answer.coherence = Some(0.6)), MirrorOf::Motion, "", None);
         assert!(wide.contains("the peak is wide"), "{wide}");
+    }
+
+    #[test]
+    fn advice_for_several_antennas_names_options_that_they_take() {
+        let turned = |change: fn(&mut Answer)| describe_with(&answer(0.35, change), MirrorOf::Turn, "", None);
+        let (incoherent, wide) = (turned(|_| ()), turned(|answer| answer.coherence = Some(0.6)));
+        assert!(
+            incoherent.contains("(--antennas, --baseline)") && wide.contains("A further turn"),
+            "{incoherent}{wide}"
+        );
+        assert!(!(incoherent + &wide).contains("--antenna-offset"));
+        let constants = |confidence| {
+            records(&answer(confidence, |answer| answer.chain_constants_deg = vec![[50.0, 0.3]])).lines().count()
+        };
+        assert_eq!((constants(0.9), constants(0.4)), (2, 1), "a poor answer's constant is not for use");
+    }
+
+    #[test]
+    fn logs_that_fit_the_trajectory_no_better_the_other_way_round_are_on_another_clock() {
+        let asked = |other: usize| {
+            let counts = |answer: &mut Answer| {
+                (answer.pair_counts.formed, answer.pair_counts.no_pose) = (2988, 1798);
+                answer.pair_counts.no_pose_by_transmitter = Some(other);
+            };
+            doubts(&answer(0.9, counts))
+        };
+        assert!(asked(0).contains("swap --rx and --tx"), "{}", asked(0));
+        assert!(asked(1482).contains("(--clock-offset)") && !asked(1482).contains("swap"), "{}", asked(1482));
+        assert_eq!(asked(1790), "");
     }
 
     #[test]

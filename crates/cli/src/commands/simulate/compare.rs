@@ -13,7 +13,7 @@ use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::fit::{Known, check_width};
 use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_about, channel_of, fit, measure, rows, scene_channel};
-use csi5300_lab::evaluate::{Capture, channel_number_in, find};
+use csi5300_lab::evaluate::{Capture, channel_in, find};
 use csi5300_say::{Tone, toned};
 use csi5300_sim::Scene;
 use driver_iface::bfee::rate;
@@ -167,15 +167,15 @@ fn of_scene(file: &Path, scene: &Scene, asked: Option<Channel>) -> Words<Channel
 /// width, which records do.
 fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
     let capture = first_capture(folder)?;
-    match (asked, channel_number_in(&capture.folder).in_words()?) {
-        (Some(channel), Some(own)) if u32::from(scene_channel(channel)) != own => {
+    match (asked, channel_in(&capture.folder).in_words()?) {
+        (Some(channel), Some(own)) if scene_channel(channel) != scene_channel(own) => {
             Err(format!("{} is of channel {own}, not of --channel {channel}", folder.display()))
         }
         (Some(channel), _) => Ok(channel),
         (None, Some(own)) => {
             let log = Log::open(capture.receiver_log()).in_words()?;
             let is_wide = log.flatten().next().is_some_and(|frame| frame.rate_n_flags & rate::HT40 != 0);
-            channel_about(own, is_wide).in_words()
+            channel_about(scene_channel(own).into(), is_wide).in_words()
         }
         (None, None) => usage(&format!("--channel is needed: no file with a truth in {} names it", folder.display())),
     }
