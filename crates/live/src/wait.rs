@@ -9,7 +9,9 @@ use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
-use std::os::fd::{AsFd, BorrowedFd};
+use std::fs::File;
+use std::io::{self, ErrorKind, Write};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::time::Duration;
 
 /// A wait for a deadline watches files until this long before it, and then sleeps until the deadline.
@@ -121,6 +123,7 @@ pub fn is_ignored(signal: Signal) -> bool {
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
     mask >> (signal as i32 - 1) & 1 == 1
 }
+
 /// SIGINT, SIGTERM and SIGHUP as a file descriptor; without SIGHUP if it is ignored, as under `nohup`.
 #[derive(Debug)]
 pub struct Signals {
@@ -159,5 +162,88 @@ impl Signals {
 impl AsFd for Signals {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.fd.as_fd()
+    }
+}
+
+/// How long a program that was told to end waits for a reader that takes nothing.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Standard output for records. Without it a reader that stands still would keep a program from its signals.
+#[derive(Debug)]
+pub struct Output {
+    out: File,
+    signals: OwnedFd,
+    patience: Duration,
+    /// A signal came.
+    told: bool,
+}
+
+impl Output {
+    /// Standard output, until one of the signals and then as long as its reader takes something.
+    ///
+    /// # Errors
+    /// If the system gives no descriptors for it.
+    pub fn new(signals: &Signals) -> io::Result<Self> {
+        let out = io::stdout().as_fd().try_clone_to_owned()?.into();
+        Ok(Self { out, signals: signals.as_fd().try_clone_to_owned()?, patience: PATIENCE, told: false })
+    }
+}
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        // A pipe with room takes this many without waiting.
+        let part = bytes.get(..bytes.len().min(libc::PIPE_BUF)).unwrap_or_default();
+        loop {
+            let mut polled = [
+                PollFd::new(self.out.as_fd(), PollFlags::POLLOUT),
+                PollFd::new(self.signals.as_fd(), PollFlags::POLLIN),
+            ];
+            let (watched, left) = match (&mut polled, self.told) {
+                ([out, _], true) => (std::slice::from_mut(out), Some(TimeSpec::from_duration(self.patience))),
+                (both, false) => (both.as_mut_slice(), None),
+            };
+            match ppoll(watched, left, None) {
+                Ok(0) => return Err(io::Error::new(ErrorKind::TimedOut, "its reader takes nothing")),
+                Ok(_) | Err(nix::errno::Errno::EINTR) => {}
+                Err(errno) => return Err(errno.into()),
+            }
+            let [has_room, is_told] = polled.map(|fd| fd.any().unwrap_or(false));
+            if has_room {
+                match self.out.write(part) {
+                    Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                    done => return done,
+                }
+            }
+            self.told |= is_told;
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reader_that_takes_nothing_keeps_no_program_that_was_told_to_end() {
+        let (mut reader, out) = io::pipe().unwrap();
+        let (signals, mut tell) = io::pipe().unwrap();
+        let (out, patience) = (File::from(OwnedFd::from(out)), Duration::ZERO);
+        let mut out = Output { out, signals: signals.into(), patience, told: false };
+        let record = vec![7; 3 * libc::PIPE_BUF];
+        out.write_all(&record).unwrap();
+        let mut read = vec![0; record.len()];
+        io::Read::read_exact(&mut reader, &mut read).unwrap();
+        assert_eq!(read, record);
+        tell.write_all(&[0]).unwrap();
+        let given_up = std::iter::repeat_with(|| out.write(&record)).find_map(Result::err).unwrap();
+        assert_eq!(given_up.kind(), ErrorKind::TimedOut);
+        io::Read::read_exact(&mut reader, &mut read).unwrap();
+        assert!(out.write(&record).is_ok(), "a reader that takes something is waited for");
+        drop(reader);
+        assert_eq!(out.write(&record).unwrap_err().kind(), ErrorKind::BrokenPipe);
     }
 }
