@@ -165,7 +165,7 @@ impl AsFd for Signals {
     }
 }
 
-/// How long a program that was told to end waits for a reader that takes nothing.
+/// A reader that takes nothing for this time is given up once the program was told to end.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Standard output for records. Without it a reader that stands still would keep a program from its signals.
@@ -174,18 +174,20 @@ pub struct Output {
     out: File,
     signals: OwnedFd,
     patience: Duration,
-    /// A signal came.
-    told: bool,
 }
 
 impl Output {
-    /// Standard output, until one of the signals and then as long as its reader takes something.
+    /// Standard output, given up if its reader takes nothing and one of the signals came.
     ///
     /// # Errors
     /// If the system gives no descriptors for it.
     pub fn new(signals: &Signals) -> io::Result<Self> {
         let out = io::stdout().as_fd().try_clone_to_owned()?.into();
-        Ok(Self { out, signals: signals.as_fd().try_clone_to_owned()?, patience: PATIENCE, told: false })
+        Ok(Self { out, signals: signals.as_fd().try_clone_to_owned()?, patience: PATIENCE })
+    }
+
+    fn is_over(&self) -> bool {
+        Monotonic::new().wait([self.signals.as_fd()], Some(Instant::ZERO)).is_ok_and(|[came]| came)
     }
 }
 
@@ -194,27 +196,18 @@ impl Write for Output {
         // A pipe with room takes this many without waiting.
         let part = bytes.get(..bytes.len().min(libc::PIPE_BUF)).unwrap_or_default();
         loop {
-            let mut polled = [
-                PollFd::new(self.out.as_fd(), PollFlags::POLLOUT),
-                PollFd::new(self.signals.as_fd(), PollFlags::POLLIN),
-            ];
-            let (watched, left) = match (&mut polled, self.told) {
-                ([out, _], true) => (std::slice::from_mut(out), Some(TimeSpec::from_duration(self.patience))),
-                (both, false) => (both.as_mut_slice(), None),
-            };
-            match ppoll(watched, left, None) {
-                Ok(0) => return Err(io::Error::new(ErrorKind::TimedOut, "its reader takes nothing")),
-                Ok(_) | Err(nix::errno::Errno::EINTR) => {}
-                Err(errno) => return Err(errno.into()),
-            }
-            let [has_room, is_told] = polled.map(|fd| fd.any().unwrap_or(false));
-            if has_room {
-                match self.out.write(part) {
+            let mut polled = [PollFd::new(self.out.as_fd(), PollFlags::POLLOUT)];
+            match ppoll(&mut polled, Some(TimeSpec::from_duration(self.patience)), None) {
+                Ok(0) if self.is_over() => {
+                    return Err(io::Error::new(ErrorKind::TimedOut, "its reader takes nothing"));
+                }
+                Ok(0) | Err(nix::errno::Errno::EINTR) => {}
+                Ok(_) => match self.out.write(part) {
                     Err(error) if error.kind() == ErrorKind::WouldBlock => {}
                     done => return done,
-                }
+                },
+                Err(errno) => return Err(errno.into()),
             }
-            self.told |= is_told;
         }
     }
 
@@ -232,7 +225,7 @@ mod tests {
         let (mut reader, out) = io::pipe().unwrap();
         let (signals, mut tell) = io::pipe().unwrap();
         let (out, patience) = (File::from(OwnedFd::from(out)), Duration::ZERO);
-        let mut out = Output { out, signals: signals.into(), patience, told: false };
+        let mut out = Output { out, signals: signals.into(), patience };
         let record = vec![7; 3 * libc::PIPE_BUF];
         out.write_all(&record).unwrap();
         let mut read = vec![0; record.len()];
