@@ -1468,9 +1468,9 @@ mod tests {
     #[test]
     fn where_there_is_no_next_file_the_old_one_takes_all_that_came() {
         let folder = folder("no-next");
-        std::fs::write(folder.join("out-0002.dat"), "another's").unwrap();
         let rotation = Rotation { bytes: Some(12), every: None };
         let mut files = LogFiles::create(&folder.join("out.dat"), rotation, false).unwrap();
+        std::fs::write(folder.join("out-0002.dat"), "another's").unwrap();
         for (numbers, bytes) in [(0..5, 30), (5..6, 36)] {
             let written = files.write(&chunk(numbers.clone()));
             assert_eq!((written.records, written.lost), (numbers.len() as u64, 0));
