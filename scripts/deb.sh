@@ -2,6 +2,7 @@
 # Makes a .deb of the programs: scripts/deb.sh [PROGRAM] [FOLDER]. PROGRAM, with csi5300-node beside it, defaults to the static one of
 # scripts/dist.sh, FOLDER to target/dist.
 # Contents: the programs, completions and manual pages, the service's unit (neither enabled nor started) and an example configuration.
+# An upgrade restarts a running service; a removal stops and disables it.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=${1:-target/dist/csi5300}
@@ -50,7 +51,8 @@ cat LICENSE-MIT LICENSE-APACHE crates/view/page/vendor/uPlot.LICENSE >"$root/usr
 # A static program needs no packages.
 depends=
 readelf -l "$root/usr/bin/csi5300" | grep -q INTERP && depends="Depends: libc6 (>= $(objdump -T "$root"/usr/bin/* | grep -oE 'GLIBC_[0-9.]+' | sort -Vu | tail -1 | cut -d_ -f2)), libgcc-s1"
-mkdir -p "$root/DEBIAN" "$out"
+mkdir -p "$out"
+install -D -m 755 -t "$root/DEBIAN" packaging/deb/postinst packaging/deb/prerm
 {
     printf 'Package: csi5300\nVersion: %s\nArchitecture: %s\nMaintainer: csi5300 developers <csi5300@invalid>\n' "$version" "$arch"
     printf 'Installed-Size: %s\nSection: science\nPriority: optional\n' "$(du -sk --exclude=DEBIAN "$root" | cut -f1)"

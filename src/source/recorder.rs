@@ -493,7 +493,11 @@ impl LogFiles {
 
     fn begin(path: &Path, rotation: Rotation, force: bool, has_side: bool) -> Result<Self, Error> {
         let number = u32::from(rotation.is_on());
-        let (data, side) = open_files(&Self::first(path, rotation), force, has_side)?;
+        // The row would end at a file that is there.
+        if let Some(path) = Self::earlier(path, rotation).filter(|_| rotation.is_on() && !force) {
+            return Err(Error::Exists { path });
+        }
+        let (data, side) = open_files(&numbered(path, number), force, has_side)?;
         Ok(Self {
             path: path.into(),
             force,
@@ -515,10 +519,25 @@ impl LogFiles {
         self
     }
 
-    /// The data file that [`LogFiles::create`] makes first.
+    /// A file of an earlier log of this name: itself or its side file; with a rotation, any of its row.
     #[must_use]
-    pub fn first(path: &Path, rotation: Rotation) -> PathBuf {
-        numbered(path, u32::from(rotation.is_on()))
+    pub fn earlier(path: &Path, rotation: Rotation) -> Option<PathBuf> {
+        let of = |number| {
+            let log = numbered(path, number);
+            [log.clone(), side_path(&log)].into_iter().find(|file| file.exists())
+        };
+        let first = of(u32::from(rotation.is_on()));
+        if first.is_some() || !rotation.is_on() {
+            return first;
+        }
+        // The first ones may have been deleted.
+        let begin = format!("{}-", path.file_stem()?.to_string_lossy());
+        let names = std::fs::read_dir(path.with_file_name(".")).ok()?.flatten().map(|entry| entry.file_name());
+        let number = |name: std::ffi::OsString| {
+            let digits = name.to_str()?.strip_prefix(&begin)?.split(|c: char| !c.is_ascii_digit()).next()?;
+            digits.parse().ok().filter(|number| *number > 0)
+        };
+        names.filter_map(number).filter_map(of).min()
     }
 
     /// The data files written, in order, the current one last.
@@ -1131,6 +1150,27 @@ mod tests {
     }
 
     #[test]
+    fn a_row_whose_first_files_were_deleted_is_an_earlier_log() {
+        let folder = folder("earlier");
+        let path = folder.join("out.dat");
+        let (row, single) = (Rotation { bytes: Some(1), every: None }, Rotation::default());
+        for other in ["out-a.dat", "out-0000.dat", "out-0003.txt", "other-0003.dat", "out-3.dat"] {
+            std::fs::write(folder.join(other), b"another").unwrap();
+        }
+        assert_eq!(LogFiles::earlier(&path, row), None);
+        for left in ["out-0012.datstp", "out-0012.dat"] {
+            let left = folder.join(left);
+            std::fs::write(&left, b"an earlier log").unwrap();
+            assert_eq!([row, single].map(|rotation| LogFiles::earlier(&path, rotation)), [Some(left.clone()), None]);
+            let refused = LogFiles::create(&path, row, false).unwrap_err();
+            assert!(matches!(&refused, Error::Exists { path } if *path == left), "{refused}");
+        }
+        assert!(!folder.join("out-0001.dat").exists());
+        drop(LogFiles::create(&path, row, true).unwrap());
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
     fn rotation_by_size_and_by_time_loses_nothing() {
         for (name, rotation) in [
             ("size", Rotation { bytes: Some(250_000), every: None }),
@@ -1363,11 +1403,16 @@ mod tests {
 
     #[test]
     fn either_rotation_makes_a_row_of_files() {
-        let first = |bytes, every| LogFiles::first(Path::new("out.dat"), Rotation { bytes, every });
-        assert_eq!(first(None, None), Path::new("out.dat"));
+        let folder = folder("either");
+        let first = |bytes, every| {
+            let files = LogFiles::create(&folder.join("out.dat"), Rotation { bytes, every }, false).unwrap();
+            files.paths().remove(0).file_name().unwrap().to_owned()
+        };
+        assert_eq!(first(None, None), "out.dat");
         for (bytes, every) in [(Some(1), None), (None, Some(Span::from_ms(1))), (Some(1), Some(Span::from_ms(1)))] {
-            assert_eq!(first(bytes, every), Path::new("out-0001.dat"), "{bytes:?} {every:?}");
+            assert_eq!(first(bytes, every), "out-0001.dat", "{bytes:?} {every:?}");
         }
+        std::fs::remove_dir_all(folder).unwrap();
     }
 
     #[test]
@@ -1423,9 +1468,9 @@ mod tests {
     #[test]
     fn where_there_is_no_next_file_the_old_one_takes_all_that_came() {
         let folder = folder("no-next");
-        std::fs::write(folder.join("out-0002.dat"), "another's").unwrap();
         let rotation = Rotation { bytes: Some(12), every: None };
         let mut files = LogFiles::create(&folder.join("out.dat"), rotation, false).unwrap();
+        std::fs::write(folder.join("out-0002.dat"), "another's").unwrap();
         for (numbers, bytes) in [(0..5, 30), (5..6, 36)] {
             let written = files.write(&chunk(numbers.clone()));
             assert_eq!((written.records, written.lost), (numbers.len() as u64, 0));

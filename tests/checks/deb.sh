@@ -36,6 +36,20 @@ grep -q '^ExecStart=/usr/bin/csi5300-node ' "$root/usr/lib/systemd/system/csi530
 for rights in packaging/csi5300-node-*.conf; do
     [ -s "$root/usr/share/doc/csi5300/examples/$(basename "$rights")" ] || { echo "no $rights"; exit 1; }
 done
+# An upgrade restarts a running service, a removal leaves none without its program, and nothing else is touched.
+dpkg-deb --control "$deb" "$folder/control"
+mkdir "$folder/fake"
+printf '#!/bin/sh\necho "$*" >>"%s"\n' "$folder/asked" >"$folder/fake/systemctl"
+chmod 755 "$folder/fake/systemctl"
+asks() { # EXPECTED SCRIPT ARGUMENT...
+    : >"$folder/asked"
+    PATH=$folder/fake:$PATH "$folder/control/$2" "${@:3}"
+    [ "$(tr '\n' ';' <"$folder/asked")" = "$1" ] || { echo "$2 ${*:3} asks for: $(cat "$folder/asked")"; exit 1; }
+}
+asks 'daemon-reload;try-restart csi5300-node.service;' postinst configure 0.0.1
+asks '' postinst abort-remove
+asks 'disable --now csi5300-node.service;' prerm remove
+asks '' prerm upgrade 0.0.2
 # Its example configuration is valid, except for features that this build lacks.
 "$root/usr/bin/csi5300" node --config "$root/usr/share/doc/csi5300/examples/robot.toml" --check >/dev/null 2>"$folder/said" ||
     ! grep -v 'needs a program built with' "$folder/said" || { echo "the example is refused"; exit 1; }

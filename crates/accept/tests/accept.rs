@@ -236,6 +236,12 @@ fn every_fault_fails_its_own_claims_and_no_others() {
 }
 
 #[test]
+fn answers_that_come_unevenly_judge_no_crystal() {
+    let late = all().into_iter().find(|fault| fault.name == "answers 3 ms late").unwrap();
+    assert_eq!(finding(&report(&late), "phase.crystal").verdict, Verdict::NotTried);
+}
+
+#[test]
 fn a_healthy_pair_fails_no_claim_and_tries_most() {
     let report = judged(&scene(1, "", "noise.snr_db = 25.0", "", ""), "108", 0.0);
     assert!(failed(&report).is_empty(), "{report}");

@@ -290,6 +290,14 @@ impl Pose {
 }
 
 impl Quaternion {
+    /// The rotation of the x axis to a direction, radians: about z by the azimuth, then up by the elevation.
+    #[must_use]
+    pub fn along(azimuth_rad: f64, elevation_rad: f64) -> Self {
+        // About the rotated y axis; upwards is negative.
+        let ((z, w), (up, level)) = ((0.5 * azimuth_rad).sin_cos(), (-0.5 * elevation_rad).sin_cos());
+        Self { x: -z * up, y: w * up, z: z * level, w: w * level }
+    }
+
     /// As a unit quaternion; `None` if it is invalid.
     #[must_use]
     pub fn rotation(&self) -> Option<UnitQuaternion<f64>> {

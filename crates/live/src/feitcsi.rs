@@ -6,13 +6,14 @@
 use crate::netlink::widen;
 use crate::wait::Monotonic;
 use csi5300::source::other_card::{Pieces, Translator};
-use csi5300::source::{CsiSource, Error, Next, Origin, Stamps};
+use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use csi5300::time::Instant;
 use driver_iface::record::{LENGTH_FIELD, Record, Tail, code, written};
+use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg, setsockopt, sockopt};
 use std::fs::File;
-use std::io::{self, ErrorKind, Read};
+use std::io::{self, ErrorKind, IoSliceMut, Read};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
-use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use std::str::FromStr;
 
 /// Limit of a record's body, bytes.
@@ -66,6 +67,8 @@ pub struct Frames {
     given: usize,
     /// Records returned.
     number: u64,
+    /// Dropped datagrams that were reported.
+    told: u32,
     wall_us: fn() -> Option<i64>,
 }
 
@@ -96,7 +99,12 @@ enum Way {
 
 /// A running measurement; dropping it stops the measurement.
 #[derive(Debug)]
-struct Measurement(UdpSocket);
+struct Measurement {
+    socket: UdpSocket,
+    /// Room for the kernel's count of the datagrams that found no room before the one received; and that count, which wraps.
+    control: Vec<u8>,
+    dropped: u32,
+}
 
 impl Measurement {
     fn start(command: &Command) -> io::Result<Self> {
@@ -109,17 +117,30 @@ impl Measurement {
         socket.set_nonblocking(true)?;
         // CAP_NET_ADMIN allows sizes above the system's limit. A smaller buffer works too, for shorter delays.
         let _ = widen(&socket, RECEIVE_BUFFER);
+        setsockopt(&socket, sockopt::RxqOvfl, &1)?;
         // A measurement that is still running would send each record twice.
         socket.send(STOP)?;
         socket.send(command.line().as_bytes())?;
-        Ok(Self(socket))
+        Ok(Self { socket, control: nix::cmsg_space!(u32), dropped: 0 })
+    }
+
+    fn receive(&mut self, room: &mut [u8]) -> io::Result<usize> {
+        let mut parts = [IoSliceMut::new(room)];
+        let flags = MsgFlags::MSG_DONTWAIT;
+        let message = recvmsg::<()>(self.socket.as_raw_fd(), &mut parts, Some(&mut self.control), flags)?;
+        for said in message.cmsgs()? {
+            if let ControlMessageOwned::RxqOvfl(dropped) = said {
+                self.dropped = dropped;
+            }
+        }
+        Ok(message.bytes)
     }
 }
 
 impl Drop for Measurement {
     fn drop(&mut self) {
         // Fails if FeitCSI has ended.
-        let _ = self.0.send(STOP);
+        let _ = self.socket.send(STOP);
     }
 }
 
@@ -137,7 +158,11 @@ fn refused(error: io::Error, at: Option<SocketAddr>) -> Error {
 
 impl Way {
     fn address(&self) -> Option<SocketAddr> {
-        if let Self::Datagrams(measurement) = self { measurement.0.peer_addr().ok() } else { None }
+        if let Self::Datagrams(measurement) = self { measurement.socket.peer_addr().ok() } else { None }
+    }
+
+    fn dropped(&self) -> u32 {
+        if let Self::Datagrams(measurement) = self { measurement.dropped } else { 0 }
     }
 }
 
@@ -152,7 +177,7 @@ impl Read for Way {
             }
             Self::Datagrams(measurement) => loop {
                 // An empty datagram does not end the stream.
-                match measurement.0.recv(room) {
+                match measurement.receive(room) {
                     Ok(0) => {}
                     read => return read,
                 }
@@ -178,7 +203,13 @@ impl Frames {
     }
 
     fn new(way: Way, wall_us: fn() -> Option<i64>) -> Self {
-        Self { way, pieces: Pieces::default(), body: Vec::new(), given: 0, number: 0, wall_us }
+        Self { way, pieces: Pieces::default(), body: Vec::new(), given: 0, number: 0, told: 0, wall_us }
+    }
+
+    /// Datagrams that the kernel dropped so far, because its queue was full.
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
+        self.told.into()
     }
 }
 
@@ -198,7 +229,13 @@ impl CsiSource for Frames {
                 return Ok(Next::End(Tail::Clean));
             }
             match self.pieces.fill(&mut self.way) {
-                Ok(_) => {}
+                Ok(_) => {
+                    let dropped = self.way.dropped();
+                    let more = dropped.wrapping_sub(std::mem::replace(&mut self.told, dropped));
+                    if more > 0 {
+                        return Ok(Next::Lost(Loss::Overrun { dropped: Some(more.into()) }));
+                    }
+                }
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(Next::Pending),
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
                 Err(error) => return Err(refused(error, self.way.address())),
@@ -219,7 +256,7 @@ impl CsiSource for Frames {
 impl AsFd for Frames {
     fn as_fd(&self) -> BorrowedFd<'_> {
         match &self.way {
-            Way::Datagrams(measurement) => measurement.0.as_fd(),
+            Way::Datagrams(measurement) => measurement.socket.as_fd(),
             Way::Stream(stream) => stream.as_fd(),
         }
     }
@@ -355,6 +392,31 @@ mod tests {
         assert!(of_datagrams == of_stream, "{}", of_datagrams.len());
         drop(source);
         assert_eq!(asked(), ("stop".to_owned(), asker));
+    }
+
+    #[test]
+    fn datagrams_that_find_no_room_are_counted_where_they_are_missing() {
+        let feitcsi = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let command: Command = feitcsi.local_addr().unwrap().to_string().parse().unwrap();
+        let mut source = Frames::ask(&command, || Some(7)).unwrap();
+        let asker = feitcsi.recv_from(&mut [0; 99]).unwrap().1;
+        let frame = written_by_feitcsi().1.remove(0);
+        let mut all = |sent: u64| {
+            (0..sent).for_each(|_| assert_eq!(feitcsi.send_to(&frame, asker).unwrap(), frame.len()));
+            let (mut came, mut lost) = (0, Vec::new());
+            loop {
+                match source.receive(Instant::ZERO).unwrap() {
+                    Next::Record(..) => came += 1,
+                    Next::Lost(loss) => lost.push((came, loss)),
+                    _ => return (came, lost),
+                }
+            }
+        };
+        let (came, lost) = all(20_000);
+        assert!(came > 0 && came < 20_000 && lost.is_empty(), "{came}, {lost:?}");
+        let dropped = Some(20_000 - came);
+        assert_eq!(all(1), (1, vec![(0, Loss::Overrun { dropped })]));
+        assert_eq!((all(1), Some(source.dropped())), ((1, Vec::new()), dropped));
     }
 
     #[test]

@@ -13,6 +13,7 @@
 //!
 //! A frame that the kernel refuses is an [`Error::NotSent`] and counted by cause; the next one may succeed.
 
+use crate::doctor::{Machine, grant};
 use crate::refused;
 use crate::sys::{self, ARPHRD_IEEE80211_RADIOTAP, Instruction, operation::*, step};
 use csi5300::internal::{FrameReceiver, HeardFrame};
@@ -302,9 +303,8 @@ fn bound(interface: &str) -> Result<(OwnedFd, Option<Mac>), Error> {
     let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
     let socket = socket(AddressFamily::Packet, SockType::Raw, flags, None).map_err(|errno| match errno {
         Errno::EPERM | Errno::EACCES => Error::io(format!(
-            "not allowed to inject frames: give the program the capabilities once, \
-             `sudo setcap cap_net_raw,cap_net_admin,cap_sys_nice,cap_ipc_lock+ep $(command -v {})`, or run it as root",
-            crate::sys::program()
+            "not allowed to inject frames: give the program the capabilities once, `{}`, or run it as root",
+            grant(&Machine, &["cap_net_raw", "cap_net_admin", "cap_sys_nice", "cap_ipc_lock"])
         ))(errno),
         Errno::EAFNOSUPPORT => Error::io(
             "packet sockets are not allowed to this service (RestrictAddressFamilies): install csi5300-node-sounding.conf \

@@ -13,6 +13,7 @@
 //! CAP_NET_ADMIN is enough to listen; root is not needed. The same code listens to the card of a robot in a simulated
 //! room: [`Netlink::over`].
 
+use crate::doctor::{Machine, grant};
 use crate::refused;
 use crate::sys::{Instruction, attach_filter, operation::*, step};
 use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Refused, Stamps};
@@ -405,9 +406,8 @@ fn join(socket: &Socket, indices: &[u32]) -> Result<(), Error> {
     match refused {
         // An unprivileged process may join odd groups only, by an accident of newer kernels.
         Some((_, error)) if error.kind() == io::ErrorKind::PermissionDenied => Err(Error::io(format!(
-            "not allowed to listen to the driver: give the program the capability once, \
-             `sudo setcap cap_net_admin+ep $(command -v {})`, or run it as root",
-            crate::sys::program()
+            "not allowed to listen to the driver: give the program the capability once, `{}`, or run it as root",
+            grant(&Machine, &["cap_net_admin"])
         ))(error)),
         Some((index, error)) if joined == 0 => {
             Err(Error::io(format!("cannot join connector index {index}; the kernel takes 1 to {MAX_GROUP}"))(error))

@@ -16,7 +16,7 @@
 //! **Reloads.** The kernel takes the probe away with the driver. A look once a second finds a driver that was loaded
 //! anew and attaches again; what the card sent in between is not seen.
 
-use crate::doctor::{Machine, no_ebpf};
+use crate::doctor::{EBPF_NEEDS, Machine, grant, no_ebpf};
 use crate::refused;
 use crate::wait::{monotonic_ns, wall_us};
 use aya::maps::{Array, MapData, RingBuf};
@@ -465,8 +465,12 @@ fn prerequisites() -> Result<(), Error> {
 const PARANOID: &str = "/proc/sys/kernel/perf_event_paranoid";
 
 /// What the program needs of the kernel's permissions.
-const CAPABILITIES: &str = "the kernel refuses eBPF to this process: CAP_BPF and CAP_PERFMON are needed; \
-     `sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)`, or run it as root";
+fn not_allowed() -> Error {
+    let grant = grant(&Machine, &EBPF_NEEDS);
+    refused(format!(
+        "the kernel refuses eBPF to this process: CAP_BPF and CAP_PERFMON are needed; `{grant}`, or run it as root"
+    ))
+}
 
 /// An error and what is below it.
 fn causes<'e>(error: &'e (dyn StdError + 'static)) -> impl Iterator<Item = &'e (dyn StdError + 'static)> {
@@ -496,7 +500,7 @@ fn not_taken(error: &(dyn StdError + 'static)) -> Error {
 
 /// A failure of loading, by the kernel's answer. EACCES is the verifier's "no", with its words.
 fn of_loading(error: impl StdError + 'static) -> Error {
-    if code_of(&error) == Some(libc::EPERM) { refused(CAPABILITIES) } else { not_taken(&error) }
+    if code_of(&error) == Some(libc::EPERM) { not_allowed() } else { not_taken(&error) }
 }
 
 /// A failure of attaching, by the kernel's answer and its level of [`PARANOID`].
@@ -507,7 +511,7 @@ fn of_attaching(error: impl StdError + 'static, paranoid: Option<i32>) -> Error 
             "{PARANOID} is {level}: with more than 2 kernels of Debian and Ubuntu leave probes to CAP_SYS_ADMIN; \
              `sudo sysctl -w kernel.perf_event_paranoid=2`, or run it as root"
         )),
-        (Some(libc::EPERM | libc::EACCES), _) => refused(CAPABILITIES),
+        (Some(libc::EPERM | libc::EACCES), _) => not_allowed(),
         _ => not_taken(&error),
     }
 }

@@ -9,7 +9,9 @@ use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
-use std::os::fd::{AsFd, BorrowedFd};
+use std::fs::File;
+use std::io::{self, ErrorKind, Write};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::time::Duration;
 
 /// A wait for a deadline watches files until this long before it, and then sleeps until the deadline.
@@ -121,6 +123,7 @@ pub fn is_ignored(signal: Signal) -> bool {
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
     mask >> (signal as i32 - 1) & 1 == 1
 }
+
 /// SIGINT, SIGTERM and SIGHUP as a file descriptor; without SIGHUP if it is ignored, as under `nohup`.
 #[derive(Debug)]
 pub struct Signals {
@@ -159,5 +162,81 @@ impl Signals {
 impl AsFd for Signals {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.fd.as_fd()
+    }
+}
+
+/// A reader that takes nothing for this time is given up once the program was told to end.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Standard output for records. Without it a reader that stands still would keep a program from its signals.
+#[derive(Debug)]
+pub struct Output {
+    out: File,
+    signals: OwnedFd,
+    patience: Duration,
+}
+
+impl Output {
+    /// Standard output, given up if its reader takes nothing and one of the signals came.
+    ///
+    /// # Errors
+    /// If the system gives no descriptors for it.
+    pub fn new(signals: &Signals) -> io::Result<Self> {
+        let out = io::stdout().as_fd().try_clone_to_owned()?.into();
+        Ok(Self { out, signals: signals.as_fd().try_clone_to_owned()?, patience: PATIENCE })
+    }
+
+    fn is_over(&self) -> bool {
+        Monotonic::new().wait([self.signals.as_fd()], Some(Instant::ZERO)).is_ok_and(|[came]| came)
+    }
+}
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        // A pipe with room takes this many without waiting.
+        let part = bytes.get(..bytes.len().min(libc::PIPE_BUF)).unwrap_or_default();
+        loop {
+            let mut polled = [PollFd::new(self.out.as_fd(), PollFlags::POLLOUT)];
+            match ppoll(&mut polled, Some(TimeSpec::from_duration(self.patience)), None) {
+                Ok(0) if self.is_over() => {
+                    return Err(io::Error::new(ErrorKind::TimedOut, "its reader takes nothing"));
+                }
+                Ok(0) | Err(nix::errno::Errno::EINTR) => {}
+                Ok(_) => match self.out.write(part) {
+                    Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                    done => return done,
+                },
+                Err(errno) => return Err(errno.into()),
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reader_that_takes_nothing_keeps_no_program_that_was_told_to_end() {
+        let (mut reader, out) = io::pipe().unwrap();
+        let (signals, mut tell) = io::pipe().unwrap();
+        let (out, patience) = (File::from(OwnedFd::from(out)), Duration::ZERO);
+        let mut out = Output { out, signals: signals.into(), patience };
+        let record = vec![7; 3 * libc::PIPE_BUF];
+        out.write_all(&record).unwrap();
+        let mut read = vec![0; record.len()];
+        io::Read::read_exact(&mut reader, &mut read).unwrap();
+        assert_eq!(read, record);
+        tell.write_all(&[0]).unwrap();
+        let given_up = std::iter::repeat_with(|| out.write(&record)).find_map(Result::err).unwrap();
+        assert_eq!(given_up.kind(), ErrorKind::TimedOut);
+        io::Read::read_exact(&mut reader, &mut read).unwrap();
+        assert!(out.write(&record).is_ok(), "a reader that takes something is waited for");
+        drop(reader);
+        assert_eq!(out.write(&record).unwrap_err().kind(), ErrorKind::BrokenPipe);
     }
 }

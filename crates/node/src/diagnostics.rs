@@ -205,7 +205,8 @@ fn of(header: Header, (node, health): (&str, &Health)) -> DiagnosticArray {
     let card = status(whose, "card", rate("records", health.records_hz), (&all, &values));
     let refused = |count: u64| if count > 0 { format!("; {count} poses refused") } else { String::new() };
     let values = ["/poses/poses", "/poses_hz", "/poses/new_frames", "/poses/refused"];
-    let (level, words) = rate("poses", health.poses_hz);
+    let stands = health.pose.is_some() && health.poses.poses == 0;
+    let (level, words) = if stands { (WELL, "this robot stands".into()) } else { rate("poses", health.poses_hz) };
     let words = words + &refused(health.poses.refused);
     let odometry = status(whose, "odometry", (level, words), (&all, &values));
     let peers = health.peers.iter().map(|peer| {
@@ -289,6 +290,15 @@ mod tests {
             said.status[0].values.iter().map(|told| (told.key.as_str(), told.value.as_str())).collect();
         assert_eq!(values[..2], [("records", "0"), ("records_hz", "99.6")]);
         assert_eq!((said.status[2].message.as_str(), said.status[2].hardware_id.as_str()), ("a; b", "burger"));
+    }
+
+    #[test]
+    fn a_robot_that_stands_lacks_no_poses() {
+        let mut health = Health { pose: Some((0.0, [1.0, 2.0, 0.0], Some(0.0))), ..Health::default() };
+        let said = |health: &Health| of(Header::default(), ("csi5300_burger", health)).status[1].clone();
+        assert_eq!((said(&health).level, said(&health).message.as_str()), (WELL, "this robot stands"));
+        health.poses.poses = 1;
+        assert_eq!((said(&health).level, said(&health).message.as_str()), (STALE, "0 poses a second"));
     }
 
     #[test]

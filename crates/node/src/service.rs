@@ -10,7 +10,6 @@ use super::team::{Ranges, Solver};
 use csi5300::pipeline::live::PeerState;
 use csi5300::source::Error;
 use csi5300::source::recorder::{LogFiles, Rotation};
-use csi5300::source::side_path;
 use csi5300::time::{Instant, Span, WallWatch};
 use csi5300_live::wait::{Monotonic, is_ignored, processor_s, wall_us};
 use driver_iface::side_file::Layout;
@@ -296,10 +295,7 @@ fn free_name(log: &Path, rotation: Rotation) -> PathBuf {
     let numbered = |k: u32| log.with_file_name(format!("{stem}-r{k}.dat"));
     std::iter::once(log.to_owned())
         .chain((1..).map(numbered))
-        .find(|name| {
-            let first = LogFiles::first(name, rotation);
-            ![name.clone(), side_path(&first), first].iter().any(|file| file.exists())
-        })
+        .find(|name| !name.exists() && LogFiles::earlier(name, rotation).is_none())
         .unwrap_or_else(|| log.to_owned())
 }
 

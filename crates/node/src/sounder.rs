@@ -6,6 +6,7 @@ use super::machine::{Machine, Tap};
 use csi5300::exchange::tdma::{Epoch, Event, Key};
 use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
+use csi5300_live::doctor::{Machine as Host, other_channel};
 use csi5300_live::monitor::Monitor;
 use csi5300_live::sounding::{Measuring, News, Notice, Running, Settings, Setup, rate_n_flags, read_key, set_rate};
 use csi5300_live::wait::Monotonic;
@@ -88,7 +89,8 @@ impl Sounder {
         if let Some(rate) = rate_n_flags(request.phy, config.antenna)
             && let Some(interface) = &asked.interface
         {
-            warnings.extend(set_rate(&csi5300_live::doctor::Machine, interface, rate).err());
+            warnings.extend(set_rate(&Host, interface, rate).err());
+            warnings.extend(other_channel(&Host, interface, config.channel));
         }
         let usual = Settings::default();
         let settings = Settings { fifo_priority: usual.fifo_priority.filter(|_| asked.fifo), ..usual };

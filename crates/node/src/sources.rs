@@ -7,7 +7,7 @@ use crate::threads::{CardThread, PoseThread};
 use csi5300::internal::Roller;
 use csi5300::motion::odometry::csv::{self, CsvError};
 use csi5300::motion::odometry::ros::Stamp;
-use csi5300::motion::odometry::{Mounted, NextPose, OdometrySource, Replayed, SourceCounts};
+use csi5300::motion::odometry::{NextPose, OdometrySource, Replayed, SourceCounts};
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::Array;
 use csi5300::pipeline::live::{LivePeer, Track};
@@ -249,14 +249,8 @@ impl<'a> Shared<'a> {
                 Box::new(PoseThread::start(serial)?)
             }
         };
-        let source: Poses = match camera {
-            Some(camera) => Box::new(Rolling { source, roller: Roller::new(camera.mount()) }),
-            None => source,
-        };
-        let offset_m = Vector3::from(antenna_m);
-        let mounted: Poses =
-            if offset_m == Vector3::zeros() { source } else { Box::new(Mounted::new(source, offset_m)) };
-        Ok((Some(mounted), Track::default()))
+        let roller = camera.map(|camera| Roller::new(camera.mount()));
+        Ok((Some(Box::new(AntennaPoses { source, roller, offset_m: antenna_m.into() })), Track::default()))
     }
 
     /// A peer's records; its MAC, where the source says it.
@@ -462,22 +456,29 @@ fn still(place: &config::Place, offset_m: [f64; 3]) -> Track {
     Track::still(antenna, heading_rad)
 }
 
-/// The middle between the wheels of a robot, by the camera that it carries.
-struct Rolling {
-    /// The camera's poses.
+/// The antenna of a robot, by poses of its middle between the wheels, or of the camera that it carries.
+struct AntennaPoses {
     source: Poses,
-    roller: Roller,
+    /// Of a camera.
+    roller: Option<Roller>,
+    /// Forward, left and up from the middle, turned with the heading.
+    offset_m: Vector3<f64>,
 }
 
-impl OdometrySource for Rolling {
+impl OdometrySource for AntennaPoses {
     fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
-        Ok(match self.source.receive(now)? {
-            NextPose::Pose(pose) => NextPose::Pose(self.roller.step(&pose)?),
-            NextPose::NewFrame => {
-                self.roller.reset();
+        let next = self.source.receive(now)?;
+        Ok(match (next, &mut self.roller) {
+            (NextPose::Pose(pose), roller) => {
+                let middle = roller.as_mut().map_or(Ok(pose), |roller| roller.step(&pose))?;
+                let is_there = self.offset_m == Vector3::zeros();
+                NextPose::Pose(if is_there { middle } else { middle.mounted(self.offset_m)? })
+            }
+            (NextPose::NewFrame, Some(roller)) => {
+                roller.reset();
                 NextPose::NewFrame
             }
-            other => other,
+            (other, _) => other,
         })
     }
 
@@ -530,7 +531,8 @@ mod tests {
         ];
         // A camera that looks 0.02 to the left of a robot that drives along x.
         let mount = Mount { offset_m: Vector3::new(0.1, 0.2, 0.0), yaw_rad: 0.02 };
-        let mut rolling = Rolling { source: Box::new(Listed(listed.into())), roller: Roller::new(mount) };
+        let (roller, offset_m) = (Some(Roller::new(mount)), Vector3::zeros());
+        let mut rolling = AntennaPoses { source: Box::new(Listed(listed.into())), roller, offset_m };
         let mut at = || rolling.receive(Instant::ZERO).unwrap();
         let place = |next: NextPose| match next {
             NextPose::Pose(pose) => (pose.position_m + Vector3::new(0.1, 0.2, 0.0), pose.heading_rad),
@@ -548,6 +550,17 @@ mod tests {
         assert_eq!(at(), NextPose::NewFrame);
         near(at(), 5.0, 7.0);
         assert_eq!(at(), NextPose::End);
+    }
+
+    #[test]
+    fn the_antenna_turns_with_the_robot() {
+        let heading_rad = Some(std::f64::consts::FRAC_PI_2);
+        let pose = Pose { t_s: 0.0, position_m: Vector3::new(1.0, 0.0, 0.0), heading_rad };
+        let listed = VecDeque::from([NextPose::Pose(pose)]);
+        let offset_m = Vector3::new(0.1, 0.0, 0.2);
+        let mut antenna = AntennaPoses { source: Box::new(Listed(listed)), roller: None, offset_m };
+        let NextPose::Pose(pose) = antenna.receive(Instant::ZERO).unwrap() else { panic!("a pose is there") };
+        assert!((pose.position_m - Vector3::new(1.0, 0.1, 0.2)).norm() < 1e-12);
     }
 
     #[test]

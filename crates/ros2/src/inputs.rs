@@ -60,9 +60,9 @@ impl SimClock {
         stamp_us.checked_add(self.ahead_us()?)
     }
 
-    /// Converts host time to a stamp; 0 before the first `/clock`.
+    /// Converts host time to a stamp; 0 before the first `/clock`, and for an unknown time (0): no stamp may be negative.
     pub fn to_stamp(&self, host_us: i64) -> i64 {
-        self.ahead_us().map_or(0, |ahead| host_us.saturating_sub(ahead))
+        self.ahead_us().map_or(0, |ahead| host_us.saturating_sub(ahead).max(0))
     }
 }
 
@@ -419,6 +419,6 @@ mod tests {
         ahead.store(990_000_000, Ordering::Relaxed);
         shared.odometry(&odometry(3.0, 0.0, 0.0), None, came(993_000_000));
         assert_eq!(poses(&shared)[0].t_s, 993.0);
-        assert_eq!(clock.to_stamp(993_000_000), 3_000_000);
+        assert_eq!([993_000_000, 0].map(|us| clock.to_stamp(us)), [3_000_000, 0]);
     }
 }

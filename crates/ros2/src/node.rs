@@ -122,7 +122,7 @@ impl Node {
 
     /// Publishes the report of peer number `peer`.
     pub fn report(&self, peer: usize, report: &PeerReport) {
-        let header = self.header((report.t_s.unwrap_or(0.0) * 1e6) as i64, self.settings.frame.clone());
+        let header = self.header((report.t_s.unwrap_or(0.0) * 1e6).round() as i64, self.settings.frame.clone());
         let place = said::place(&header, report);
         if let Some(peer) = self.peers.get(peer) {
             peer.bearings.put(&said::bearing(header.clone(), report));

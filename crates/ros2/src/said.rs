@@ -44,13 +44,6 @@ fn state_name(state: PeerState) -> String {
     name.unwrap_or_default()
 }
 
-/// The rotation (x, y, z, w) from the x axis to a direction, radians: about z by the azimuth, then up by the elevation.
-fn looking_along(azimuth_rad: f64, elevation_rad: f64) -> [f64; 4] {
-    // About the rotated y axis; upwards is negative.
-    let ((sin, cos), (up, level)) = ((0.5 * azimuth_rad).sin_cos(), (-0.5 * elevation_rad).sin_cos());
-    [-sin * up, cos * up, sin * level, cos * level]
-}
-
 /// The whole report; angles in radians, NaN for unknown values.
 pub fn bearing(header: Header, report: &PeerReport) -> Bearing {
     let answer = &report.answer;
@@ -85,8 +78,7 @@ pub fn direction(header: &Header, report: &PeerReport) -> Option<PoseStamped> {
     let (origin_m, azimuth_deg) =
         report.answer.origin_m.zip(report.answer.azimuth_deg).filter(|_| has_bearing(report))?;
     let elevation_deg = report.answer.elevation_deg.unwrap_or(0.0);
-    let [x, y, z, w] = looking_along(azimuth_deg.to_radians(), elevation_deg.to_radians());
-    let orientation = Quaternion { x, y, z, w };
+    let orientation = Quaternion::along(azimuth_deg.to_radians(), elevation_deg.to_radians());
     let pose = PoseMessage { position: origin_m.into(), orientation };
     Some(PoseStamped { header: header.clone(), pose })
 }
@@ -188,7 +180,8 @@ pub(crate) fn markers(header: &Header, (name, number): (&str, usize), report: &P
     };
     let mirror = match answer.mirror_deg.map(f64::to_radians) {
         Some(mirror) => {
-            let points = vec![point(from), point(along(from, mirror, 0.0, length))];
+            let elevation = answer.mirror_elevation_deg.unwrap_or(0.0).to_radians();
+            let points = vec![point(from), point(along(from, mirror, elevation, length))];
             Marker { points, ..peer.marker(2, Marker::LINE_STRIP, 0.4, [0.02, 0.0, 0.0]) }
         }
         None => peer.none(2),
@@ -253,6 +246,16 @@ mod tests {
         let off = (edge.y - 2.0).atan2(edge.x - 1.0).to_degrees();
         assert!((off - 80.0).abs() < 1e-9, "twice the error bar: {off}");
         assert_eq!(drawn.markers[4].text, "b: 90.0 +- 5.0 deg");
+    }
+
+    #[test]
+    fn a_mirror_is_as_steep_as_it_is_found() {
+        let tilted = report(PeerState::Bearing, |answer| {
+            (answer.origin_m, answer.azimuth_deg, answer.elevation_deg) = (Some([0.0; 3]), Some(0.0), Some(30.0));
+            (answer.mirror_deg, answer.mirror_elevation_deg) = (Some(90.0), Some(-30.0));
+        });
+        let end = markers(&Header::default(), ("b", 7), &tilted).markers[2].points[1].clone();
+        assert!((end.z + 0.5 * LENGTH_M).abs() < 1e-9 && end.y > 0.0, "{end:?}");
     }
 
     #[test]

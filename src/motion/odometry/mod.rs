@@ -13,7 +13,6 @@ pub mod ros;
 use crate::motion::pose::{Pose, Trajectory};
 use crate::source::Error;
 use crate::time::{Instant, Span};
-use nalgebra::Vector3;
 
 /// What [`OdometrySource::receive`] gives.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -147,50 +146,10 @@ impl OdometrySource for Replayed {
     }
 }
 
-/// The antenna of a robot: each pose moved by the antenna's place on the robot, turned with the heading.
-#[derive(Clone, Debug)]
-#[doc(hidden)]
-pub struct Mounted<S> {
-    source: S,
-    offset_m: Vector3<f64>,
-}
-
-impl<S: OdometrySource> Mounted<S> {
-    /// An antenna `offset_m` (x forward, y left, z up, metres) from where `source` says that the robot is.
-    pub fn new(source: S, offset_m: Vector3<f64>) -> Self {
-        Self { source, offset_m }
-    }
-
-    /// The robot's own odometry.
-    pub fn source(&self) -> &S {
-        &self.source
-    }
-}
-
-impl<S: OdometrySource> OdometrySource for Mounted<S> {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
-        Ok(match self.source.receive(now)? {
-            NextPose::Pose(pose) => NextPose::Pose(pose.mounted(self.offset_m)?),
-            other => other,
-        })
-    }
-
-    fn next_at(&self) -> Option<Instant> {
-        self.source.next_at()
-    }
-
-    fn trouble(&self) -> Option<String> {
-        self.source.trouble()
-    }
-
-    fn counted(&self) -> Option<SourceCounts> {
-        self.source.counted()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector3;
 
     fn trajectory() -> Trajectory {
         let pose = |k: u32| Pose {
@@ -214,13 +173,5 @@ mod tests {
         assert_eq!(times.len(), 5);
         assert_eq!((times[0].0, times[4].0), (50_007, 250_007));
         assert_eq!(source.receive(Instant::from_us(i64::MAX)).unwrap(), NextPose::End);
-    }
-
-    #[test]
-    fn the_antenna_turns_with_the_robot() {
-        let offset_m = Vector3::new(0.1, 0.0, 0.2);
-        let mut source = Mounted::new(Replayed::new(&trajectory(), 100.0, Instant::ZERO, 1.0), offset_m);
-        let NextPose::Pose(pose) = source.receive(Instant::ZERO).unwrap() else { panic!("a pose is due") };
-        assert!((pose.position_m - Vector3::new(0.0, 0.1, 0.2)).norm() < 1e-12);
     }
 }

@@ -51,10 +51,18 @@ pub(super) fn pairs(evidence: &Evidence) -> Told {
     }
 }
 
-pub(super) fn turn_around(pairs: &Pairs, _: &Evidence) -> Told {
+/// Answers come evenly if 90 % of them are within this, microseconds.
+const EVEN_US: f64 = 500.0;
+
+/// 90 % of the turn-arounds are within this, microseconds.
+fn spread_us(pairs: &Pairs) -> f64 {
     let [low, high] = [0.05, 0.95].map(|share| quantile(&pairs.turn_us, share).unwrap_or(f64::NAN));
-    let within = high - low;
-    let told = Told::decided(within <= 500.0, format!("90 % within {within:.0} us of each other"));
+    high - low
+}
+
+pub(super) fn turn_around(pairs: &Pairs, _: &Evidence) -> Told {
+    let within = spread_us(pairs);
+    let told = Told::decided(within <= EVEN_US, format!("90 % within {within:.0} us of each other"));
     told.with("90 % within", within, "us")
 }
 
@@ -129,8 +137,12 @@ pub(super) fn crystal(pairs: &Pairs, evidence: &Evidence) -> Told {
     };
     // From a stretch without a step of the turn-around, which would tilt the line.
     let drift = found.drift_ppm;
-    let spread =
-        quantile(&pairs.turn_us, 0.95).zip(quantile(&pairs.turn_us, 0.05)).map_or(0.0, |(high, low)| high - low);
+    let spread = spread_us(pairs);
+    if spread > EVEN_US {
+        return Told::not_tried(format!(
+            "the turn-around varies by {spread:.0} us, which tilts the clocks' line: see exchange.turn_around"
+        ));
+    }
     // 1.5 ppm of 5.5 GHz turn the phase by 0.05 rad in a microsecond.
     if spread < 10.0 {
         return Told::not_tried(format!(

@@ -281,7 +281,7 @@ impl Recording {
 
     /// Where the robot is.
     pub fn pose(&mut self, pose: &Pose) -> io::Result<()> {
-        let turned = aim(pose.heading_rad.unwrap_or(0.0), 0.0);
+        let turned = Quaternion::along(pose.heading_rad.unwrap_or(0.0), 0.0);
         self.transform(ROBOT, pose, turned.clone())?;
         self.put("/pose", pose.t_s, &placed(pose, turned))
     }
@@ -295,7 +295,8 @@ impl Recording {
 
     /// The robot's path, as known at `t_s`.
     pub fn path(&mut self, t_s: f64, poses: &[Pose]) -> io::Result<()> {
-        let poses = poses.iter().map(|pose| placed(pose, aim(pose.heading_rad.unwrap_or(0.0), 0.0))).collect();
+        let poses =
+            poses.iter().map(|pose| placed(pose, Quaternion::along(pose.heading_rad.unwrap_or(0.0), 0.0))).collect();
         self.put("/trajectory", t_s, &PathMessage { header: header(t_s, ODOM), poses })
     }
 
@@ -303,12 +304,12 @@ impl Recording {
     pub fn bearing(&mut self, link: &str, bearing: &Bearing) -> Words<()> {
         let (answer, t_s) = (&bearing.answer, bearing.samples.t_s().last().copied().unwrap_or(0.0));
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };
-        let towards = aim(answer.azimuth_rad, answer.signed_elevation_rad.unwrap_or(0.0));
+        let towards = Quaternion::along(answer.azimuth_rad, answer.signed_elevation_rad.unwrap_or(0.0));
         let scan = profile(link, t_s, bearing).in_words()?;
         let mut put = || {
             self.put(&format!("/bearing/{link}"), t_s, &placed(&from, towards.clone()))?;
             if let Some(mirror_rad) = answer.mirror_rad {
-                let mirror = placed(&from, aim(mirror_rad, answer.mirror_elevation_rad.unwrap_or(0.0)));
+                let mirror = placed(&from, Quaternion::along(mirror_rad, answer.mirror_elevation_rad.unwrap_or(0.0)));
                 self.put(&format!("/mirror/{link}"), t_s, &mirror)?;
             }
             self.transform(&format!("bearing/{link}"), &from, towards.clone())?;
@@ -344,12 +345,6 @@ fn us(t_s: f64) -> i64 {
 
 fn header(t_s: f64, frame: &str) -> Header {
     Header { stamp: Time::from_us(us(t_s)), frame_id: frame.to_owned() }
-}
-
-/// The rotation that turns +x to an azimuth and from there up to an elevation.
-fn aim(azimuth_rad: f64, elevation_rad: f64) -> Quaternion {
-    let ((z, w), (up, level)) = ((0.5 * azimuth_rad).sin_cos(), (-0.5 * elevation_rad).sin_cos());
-    Quaternion { x: -z * up, y: w * up, z: z * level, w: w * level }
 }
 
 fn placed(pose: &Pose, orientation: Quaternion) -> PoseStamped {

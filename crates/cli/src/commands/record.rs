@@ -10,7 +10,7 @@ use csi5300::source::{CsiSource, Error, Loss, Next, side_path};
 use csi5300::time::{Instant, Span};
 use csi5300_live::feitcsi::{Command, FeitCsi, Frames};
 use csi5300_live::status::{Losses, Status};
-use csi5300_live::wait::{Monotonic, wall_us};
+use csi5300_live::wait::{Monotonic, Output, wall_us};
 use driver_iface::side_file::Layout;
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
@@ -149,7 +149,7 @@ pub fn run(args: &Args) -> Result {
     note!("{}; recording to {}", listener.describe(), args.out.display());
     let recorder = Recorder::new(listener, files, args.options()).in_words()?;
     let (failed, recorder) = if args.live {
-        let pipe = Pipe::new(std::io::stdout());
+        let pipe = Pipe::new(Output::new(&session.signals).map_err(|error| format!("standard output: {error}"))?);
         let mut options = Options::default();
         (options.sync_every, options.hand_over) = (None, Span::from_ms(10));
         let mut tee = Recorder::new(recorder, pipe, options).in_words()?;
@@ -424,7 +424,9 @@ fn run_feitcsi(args: &Args, from: &Way, signals: Signals) -> Result {
     note!("{words}; recording to {}", args.out.display());
     let recorder = Recorder::new(frames, files, args.options()).in_words()?;
     let mut source = FeitCsi::new(recorder);
-    let failed = session.capture(&mut source, |source| (source.frames().totals(), Losses::default())).err();
-    let (_, files, totals) = source.into_frames().finish(session.clock.now()).in_words()?;
-    Ok(session.end(failed, &(String::new(), Losses::default()), &totals, &files))
+    let lost = |frames: &Frames| Losses { kernel: frames.dropped(), ..Losses::default() };
+    let failed =
+        session.capture(&mut source, |source| (source.frames().totals(), lost(source.frames().source()))).err();
+    let (frames, files, totals) = source.into_frames().finish(session.clock.now()).in_words()?;
+    Ok(session.end(failed, &(String::new(), lost(&frames)), &totals, &files))
 }

@@ -7,10 +7,10 @@ use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Span;
 use csi5300_live::netlink::Sender;
-use csi5300_live::wait::Monotonic;
+use csi5300_live::wait::{Monotonic, Output};
 use driver_iface::connector::CN_IDX;
 use driver_iface::record::{Record, Tail};
-use std::io::{ErrorKind, StdoutLock, Write};
+use std::io::{ErrorKind, Write};
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
@@ -60,25 +60,35 @@ struct Row<'a> {
     cut: bool,
 }
 
+/// Bytes that are written to standard output at once, and records between two looks at signals.
+const PART: usize = 1 << 16;
+const BURST: u64 = 256;
+
 enum Target {
     Connector(Sender),
-    Stdout(StdoutLock<'static>, Vec<u8>),
+    /// And what waits for it.
+    Stdout(Output, Vec<u8>),
 }
 
 impl Target {
     fn send(&mut self, record: Record<'_>) -> std::result::Result<(), Error> {
         match self {
             Self::Connector(sender) => sender.send(record),
-            Self::Stdout(out, frame) => {
-                frame.resize(record.emit_len(), 0);
+            Self::Stdout(_, waiting) => {
+                let from = waiting.len();
+                waiting.resize(from + record.emit_len(), 0);
+                let frame = waiting.get_mut(from..).unwrap_or_default();
                 record.emit(frame).map_err(|error| Error::Backend(Box::new(error)))?;
-                out.write_all(frame).map_err(of_stdout)
+                if waiting.len() >= PART { self.flush() } else { Ok(()) }
             }
         }
     }
 
     fn flush(&mut self) -> std::result::Result<(), Error> {
-        if let Self::Stdout(out, _) = self { out.flush().map_err(of_stdout) } else { Ok(()) }
+        let Self::Stdout(out, waiting) = self else { return Ok(()) };
+        out.write_all(waiting).map_err(of_stdout)?;
+        waiting.clear();
+        Ok(())
     }
 }
 
@@ -101,7 +111,7 @@ pub fn run(args: &Args) -> Result {
     let log = super::open_log(&args.file)?;
     let mut target = match args.connector {
         Some(index) => Target::Connector(Sender::open(index, true).in_words()?),
-        None => Target::Stdout(std::io::stdout().lock(), Vec::new()),
+        None => Target::Stdout(Output::new(&signals).map_err(of_stdout).in_words()?, Vec::new()),
     };
     let mut source = Paced::new(log, args.speed, args.longest_pause);
     let (clock, mut survey) = (Monotonic::new(), Survey::default());
@@ -114,18 +124,19 @@ pub fn run(args: &Args) -> Result {
             return Ok(refused(&error, survey.came()));
         }
         survey.note(&next);
-        match next {
-            Next::Record(..) | Next::Lost(_) => {}
+        let until = match next {
+            Next::Record(..) if survey.came() % BURST == 0 => clock.now(),
+            Next::Record(..) | Next::Lost(_) => continue,
             Next::End(_) => break,
             Next::Pending => {
                 if let Err(error) = target.flush() {
                     return Ok(refused(&error, survey.came()));
                 }
-                let until = source.next_at().unwrap_or_else(|| clock.now());
-                if clock.wait([signals.as_fd()], Some(until)).in_words()?[0] {
-                    break;
-                }
+                source.next_at().unwrap_or_else(|| clock.now())
             }
+        };
+        if clock.wait([signals.as_fd()], Some(until)).in_words()?[0] {
+            break;
         }
     }
     let sent = survey.came();

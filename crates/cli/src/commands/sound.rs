@@ -13,7 +13,7 @@ use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::recorder::{LogFiles, Rotation};
 use csi5300::source::{Error, Next};
 use csi5300::time::{Instant, Span};
-use csi5300_live::doctor::Machine;
+use csi5300_live::doctor::{Machine, other_channel};
 use csi5300_live::listener::Listener;
 use csi5300_live::logged::Logged;
 use csi5300_live::monitor::{AirCounts, Monitor, Options};
@@ -354,9 +354,6 @@ struct Sounding {
     /// Modulation of every frame, 0 to 23; from 8 on frames use several streams and antennas
     #[arg(long, default_value_t = 1, value_name = "MCS", value_parser = clap::value_parser!(u8).range(0..=23))]
     mcs: u8,
-    // Of one version ago: a channel of 40 MHz says so.
-    #[arg(long, hide = true)]
-    ht40: bool,
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_parser = channel_of_5300, value_name = "NUMBER")]
     channel: Option<Channel>,
@@ -408,7 +405,7 @@ enum DialectArg {
 impl Sounding {
     /// The plan that the arguments request.
     fn request(&self) -> Request {
-        let is_wide = self.ht40 || self.channel.is_some_and(|channel| channel.width() != Width::Ht20);
+        let is_wide = self.channel.is_some_and(|channel| channel.width() != Width::Ht20);
         let bandwidth = if is_wide { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
         let dialect = match self.dialect {
             DialectArg::Native => Dialect::Native { measurement: true, authenticated: self.key.is_some() },
@@ -492,9 +489,12 @@ impl Sounding {
         Ok(opened)
     }
 
-    /// Sets or checks the driver's rate.
+    /// Sets or checks the driver's rate, and checks the channel.
     fn see_to_rate(&self, antenna: Antenna) -> Words<()> {
-        self.interface.as_deref().map_or(Ok(()), |interface| see_to_rate(interface, self.request().phy, antenna))
+        let Some(interface) = self.interface.as_deref() else { return Ok(()) };
+        let other = self.channel.and_then(|channel| other_channel(&Machine, interface, channel));
+        other.into_iter().for_each(|words| note!("{words}"));
+        see_to_rate(interface, self.request().phy, antenna)
     }
 
     /// The card's records, if wanted: recorded, or only read. `own` is this robot's MAC.

@@ -3,7 +3,8 @@
 //! A 5300 has three: the patched driver, the kernel module beside the distribution's driver, or an eBPF program beside
 //! it. An AX200 or AX210 has one: FeitCSI, a patched `iwlwifi` and a program (firmware-notes/other-cards.md).
 
-use super::host::{self, holds};
+use super::host::{self, CAP_BPF, CAP_PERFMON, grant, holds};
+use super::setup::ASIDE;
 use super::{Check, Found, System, bad, doubt, good, unknown};
 
 /// PCI identities of the Intel 5300 (`iwlwifi/pcie/drv.c`).
@@ -225,9 +226,16 @@ fn firmware_file(system: &dyn System) -> Found {
                 /lib/firmware/iwlwifi-5000-2.ucode (the file is in csitool's supplementary repository)";
     match system.size(FIRMWARE) {
         Some(FIRMWARE_BYTES) => good(format!("{FIRMWARE_BYTES} bytes")),
-        Some(other) => bad(format!("{other} bytes: another firmware")).mend(mend),
+        Some(other) => {
+            bad(format!("{other} bytes: another firmware")).mend(format!("{} && {mend}", move_aside(FIRMWARE)))
+        }
         None => bad("not there").mend(mend),
     }
+}
+
+/// The command that takes a firmware out of the driver's way; `setup --undo` puts it back.
+fn move_aside(file: &str) -> String {
+    format!("sudo mv {file} {file}{ASIDE}")
 }
 
 /// True for a firmware file that the driver prefers to csitool's, compressed ones too; not for one moved aside.
@@ -244,8 +252,7 @@ fn newer_firmware(system: &dyn System) -> Found {
     if newer.is_empty() {
         return good(format!("none above {ours}"));
     }
-    let moves: Vec<_> =
-        newer.iter().map(|name| format!("sudo mv /lib/firmware/{name} /lib/firmware/{name}.orig")).collect();
+    let moves: Vec<_> = newer.iter().map(|name| move_aside(&format!("/lib/firmware/{name}"))).collect();
     bad(format!("{} win over {ours}", newer.join(", "))).mend(moves.join(" && "))
 }
 
@@ -275,10 +282,10 @@ fn firmware_loaded(system: &dyn System, card: Option<&Card>) -> Found {
 
 /// The first kernel with a ring buffer for eBPF (BPF_MAP_TYPE_RINGBUF), and with CAP_BPF and CAP_PERFMON.
 pub(crate) const EBPF_FROM: (u32, u32) = (5, 8);
-/// Bits of CapEff (`linux/capability.h`).
+/// What loading and attaching the program needs, and the connector.
+pub(crate) const EBPF_NEEDS: [&str; 3] = ["cap_bpf", "cap_perfmon", "cap_net_admin"];
+/// A bit of CapEff (`linux/capability.h`).
 const CAP_SYS_ADMIN: u32 = 21;
-const CAP_PERFMON: u32 = 38;
-const CAP_BPF: u32 = 39;
 /// The path of the loaded module.
 const MODULE: &str = "/sys/module/csi5300";
 
@@ -296,7 +303,7 @@ enum Way {
     /// Ready.
     Open(&'static str),
     /// One step away: what is missing, and how to get it.
-    Needs(&'static str, &'static str),
+    Needs(&'static str, String),
     /// Impossible on this machine, and why.
     Closed(String),
 }
@@ -345,7 +352,7 @@ impl Ways {
         match best {
             Some((best, Way::Taken(_))) => good(format!("{list}. Best here: {best}")),
             Some((best, Way::Open(what))) => good(format!("{list}. Best here: {best}")).mend(*what),
-            Some((best, Way::Needs(_, mend))) => doubt(format!("{list}. Best here: {best}")).mend(*mend),
+            Some((best, Way::Needs(_, mend))) => doubt(format!("{list}. Best here: {best}")).mend(mend.clone()),
             _ => bad(list).mend("install a kernel for which a way is open: any distribution's of 5.8 or later will do"),
         }
     }
@@ -363,9 +370,9 @@ fn module_way(system: &dyn System) -> Way {
     }
     if system.names(&format!("/lib/modules/{release}/build")).is_empty() {
         let mend = "sudo apt install linux-headers-$(uname -r) dkms, then the package of packaging/dkms";
-        return Way::Needs("no kernel headers", mend);
+        return Way::Needs("no kernel headers", mend.into());
     }
-    Way::Needs("headers are there", "sudo apt install dkms, then the package of packaging/dkms")
+    Way::Needs("headers are there", "sudo apt install dkms, then the package of packaging/dkms".into())
 }
 
 /// Why this kernel cannot take the eBPF program.
@@ -393,20 +400,20 @@ fn ebpf_way(system: &dyn System) -> Way {
         return Way::Closed(why);
     }
     if system.names("/sys/module/iwlwifi").is_empty() {
-        return Way::Needs("iwlwifi is not loaded", "sudo modprobe iwlwifi");
+        return Way::Needs("iwlwifi is not loaded", "sudo modprobe iwlwifi".into());
     }
     let has = |capability| holds(system, capability) == Some(true);
     let is_root = has(CAP_SYS_ADMIN);
     let may_load = is_root || (has(CAP_BPF) && has(CAP_PERFMON));
     if !may_load {
-        let mend = "sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)";
+        let mend = grant(system, &EBPF_NEEDS);
         return Way::Needs("CAP_BPF and CAP_PERFMON are not held", mend);
     }
     // An extra level of Debian's and Ubuntu's kernels, at which CAP_PERFMON is not enough for a probe.
     let paranoid = system.text("/proc/sys/kernel/perf_event_paranoid").and_then(|level| level.parse::<i32>().ok());
     if paranoid.is_some_and(|level| level > 2) && !is_root {
         let mend = "sudo sysctl -w kernel.perf_event_paranoid=2 (in /etc/sysctl.d to stay), or run it as root";
-        return Way::Needs("kernel.perf_event_paranoid above 2 wants root", mend);
+        return Way::Needs("kernel.perf_event_paranoid above 2 wants root", mend.into());
     }
     Way::Open(
         "csi5300 record --stock; it only receives: an HT rate for frames sent, and asking the card for CSI, need the module",

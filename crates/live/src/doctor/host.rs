@@ -1,12 +1,23 @@
 //! The host and its interface: mode, channel, rate and other owners; connector, privileges, namespace, buffers, clock.
 
+use csi5300::signal::channel::Channel;
 use driver_iface::connector::{CN_IDX, registered_idx};
 
 use super::card::{self, Card, Ways};
 use super::{Check, Found, Ran, System, bad, doubt, good, unknown};
 
-/// CAP_NET_ADMIN (`linux/capability.h`).
+/// Capabilities that commands need, by their bits of CapEff (`linux/capability.h`).
+const CAPABILITIES: [(u32, &str); 6] = [
+    (CAP_BPF, "cap_bpf"),
+    (CAP_PERFMON, "cap_perfmon"),
+    (13, "cap_net_raw"),
+    (CAP_NET_ADMIN, "cap_net_admin"),
+    (23, "cap_sys_nice"),
+    (14, "cap_ipc_lock"),
+];
 const CAP_NET_ADMIN: u32 = 12;
+pub(super) const CAP_PERFMON: u32 = 38;
+pub(super) const CAP_BPF: u32 = 39;
 /// Receive buffer that holds a second of WSR records at 1 kHz (1,280 bytes are booked for each).
 const ENOUGH_BUFFER: u64 = 1_280 * 1_000;
 
@@ -57,7 +68,7 @@ fn connector(system: &dyn System, ways: &Ways) -> Found {
 fn capability(system: &dyn System) -> Found {
     match holds(system, CAP_NET_ADMIN) {
         Some(true) => good("held"),
-        Some(_) => bad("not held").mend("sudo setcap cap_net_admin+ep $(command -v csi5300)"),
+        Some(_) => bad("not held").mend(grant(system, &["cap_net_admin"])),
         None => unknown("not in /proc/self/status"),
     }
 }
@@ -67,6 +78,13 @@ pub(super) fn holds(system: &dyn System, capability: u32) -> Option<bool> {
     let status = system.text("/proc/self/status")?;
     let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"))?;
     u64::from_str_radix(effective.trim(), 16).ok().map(|held| held >> capability & 1 == 1)
+}
+
+/// The command that gives this program capabilities beside those that it holds, because `setcap` takes away what it does not name.
+pub(crate) fn grant(system: &dyn System, needed: &[&str]) -> String {
+    let is_named = |(bit, name): &(u32, &str)| needed.contains(name) || holds(system, *bit) == Some(true);
+    let names: Vec<&str> = CAPABILITIES.into_iter().filter(is_named).map(|(_, name)| name).collect();
+    format!("sudo setcap {}+ep $(command -v {})", names.join(","), crate::sys::program())
 }
 
 pub(super) fn buffers(system: &dyn System) -> Check {
@@ -276,12 +294,26 @@ fn rate_words(rate: u32) -> String {
     format!("{kind}, {width}{guard}, {antennas}")
 }
 
+/// What an interface is tuned to, as `iw` prints it behind `channel`.
+fn tuned(info: &str) -> Option<String> {
+    info.lines().find_map(|line| line.trim().strip_prefix("channel ").map(str::to_string))
+}
+
+/// What is wrong if an interface is tuned to another channel than this one, whose wavelength bearings are made with.
+#[must_use]
+pub fn other_channel(system: &dyn System, interface: &str, channel: Channel) -> Option<String> {
+    let line = tuned(&system.run(&["iw", "dev", interface, "info"])?.text)?;
+    let (_, centre) = line.split_once("center1: ").or_else(|| line.split_once('('))?;
+    let mhz: f64 = centre.split_whitespace().next()?.parse().ok()?;
+    let is_other = (mhz - channel.centre_hz() * 1e-6).abs() > 1.0;
+    is_other.then(|| format!("{interface} is on channel {line}; bearings are made for channel {channel}"))
+}
+
 fn channel(system: &dyn System, interface: &str, card: &Card) -> Found {
     let Some(ran) = system.run(&["iw", "dev", interface, "info"]) else {
         return unknown("iw is not installed").mend("sudo apt install iw");
     };
-    let line = ran.text.lines().find_map(|line| line.trim().strip_prefix("channel ").map(str::to_string));
-    let Some(line) = line else {
+    let Some(line) = tuned(&ran.text) else {
         return bad(format!("{interface} has none"))
             .mend(format!("sudo ip link set {interface} up && sudo iw dev {interface} set channel 64 HT20"));
     };

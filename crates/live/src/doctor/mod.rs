@@ -7,9 +7,9 @@ mod card;
 mod host;
 mod setup;
 
-pub(crate) use card::{IWL5300, no_ebpf};
-pub use host::channel_flags;
-pub(crate) use host::rate_file;
+pub(crate) use card::{EBPF_NEEDS, IWL5300, no_ebpf};
+pub use host::{channel_flags, other_channel};
+pub(crate) use host::{grant, rate_file};
 pub(crate) use setup::MODULE_RATE;
 pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, undo, warnings};
 
@@ -396,6 +396,18 @@ mod tests {
     }
 
     #[test]
+    fn another_channel_than_that_of_the_bearings_is_said() {
+        let stage = Stage::healthy("channel");
+        let told = |channel: &str| other_channel(&stage.tree(), "wlp1s0", channel.parse().unwrap());
+        assert_eq!(told("108"), None);
+        assert!(told("64").unwrap().starts_with("wlp1s0 is on channel 108 (5540 MHz), width: 20 MHz; bearings"));
+        assert!(told("108+").is_some());
+        stage.put("run/iw dev wlp1s0 info", "\tchannel 108 (5540 MHz), width: 40 MHz, center1: 5550 MHz\n");
+        assert_eq!((told("108+"), told("108").is_some()), (None, true));
+        assert_eq!(other_channel(&stage.tree(), "mon7", "64".parse().unwrap()), None, "nobody knows");
+    }
+
+    #[test]
     fn a_healthy_machine_has_nothing_in_the_way() {
         let stage = Stage::healthy("healthy");
         for check in stage.examine() {
@@ -450,9 +462,9 @@ mod tests {
         "connector_log | bad | no CSI | 0x1 | MODULE/connector_log = 4 | MODULE/ack_len = 57",
         "connector_log | doubt | no record names its sender | connector_log=0x5 (`csi5300 setup` | MODULE/connector_log = 1",
         "connector_log | good | 0x1, ack_len 57 |  | MODULE/connector_log = 1 | MODULE/ack_len = 57",
-        "firmware file | bad | 1 bytes | cp  | lib/firmware/iwlwifi-5000-2.ucode = y",
+        "firmware file | bad | 1 bytes | sudo mv /lib/firmware/iwlwifi-5000-2.ucode /lib/firmware/iwlwifi-5000-2.ucode.csi5300-aside && sudo cp | lib/firmware/iwlwifi-5000-2.ucode = y",
         "firmware file | bad | not there | sigcomm2010 | - lib/firmware",
-        "other firmware | bad | iwlwifi-5000-5.ucode win | mv /lib/firmware/iwlwifi-5000-5.ucode | lib/firmware/iwlwifi-5000-5.ucode = z",
+        "other firmware | bad | iwlwifi-5000-5.ucode win | iwlwifi-5000-5.ucode.csi5300-aside | lib/firmware/iwlwifi-5000-5.ucode = z",
         "other firmware | bad | 5000-5 | mv  | lib/firmware/iwlwifi-5000-5.ucode.zst = z",
         "firmware loaded | bad | 8.83.5.1 | reload | run/dmesg = iwlwifi: loaded firmware version 8.83.5.1 build 33692",
         "firmware loaded | bad | crashed | modprobe -r | run/dmesg = iwlwifi 0000:01:00.0: Microcode SW error detected.  Restarting 0x2000000.",
@@ -647,7 +659,7 @@ mod tests {
         let lines: Vec<_> = initiator.iter().map(Step::line).collect();
         assert!(lines.iter().any(|line| line.contains("ack_len=1000000")), "{lines:?}");
         assert!(lines.iter().any(|line| line.contains("set channel 36 HT40+")), "{lines:?}");
-        assert!(lines.last().unwrap().starts_with("sudo sh -c 'echo 0x4900 | tee "), "{lines:?}");
+        assert!(lines.last().unwrap().starts_with("sudo sh -c 'echo 0x4900 > "), "{lines:?}");
 
         let undone = apply(&system, &undo(&system, "wlp1s0"));
         assert!(undone.iter().any(|line| line.contains("set type managed")));
@@ -683,7 +695,7 @@ mod tests {
         let lines: Vec<_> =
             plan(&system, &request(Role::Responder, "64", None)).unwrap().iter().map(Step::line).collect();
         assert!(lines.iter().any(|line| line == "sudo modprobe iwlwifi connector_log=0x5"), "{lines:?}");
-        assert!(lines.last().unwrap().starts_with("sudo sh -c 'echo 0x4101 | tee /sys/kernel/debug/"), "{lines:?}");
+        assert!(lines.last().unwrap().starts_with("sudo sh -c 'echo 0x4101 > "), "{lines:?}");
         stage.put("run/modinfo -p iwlwifi", "swcrypto:software crypto (int)\n");
         assert!(
             plan(&system, &request(Role::Initiator, "64", None)).unwrap_err().to_string().contains("no connector_log")

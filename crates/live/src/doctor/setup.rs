@@ -102,12 +102,11 @@ impl Step {
         match &self.action {
             Action::Run(words) => format!("sudo {}", words.join(" ")),
             Action::Write { path, text } => format!("echo {text} | sudo tee {path}"),
-            // Only root's shell can look for names in debugfs.
+            // Only root's shell can look for names in debugfs. The file's depth differs between kernels.
             Action::WriteRate { interface, text } => {
                 let phy = format!("$(cat /sys/class/net/{interface}/phy80211/name)");
-                format!(
-                    "sudo sh -c 'echo {text} | tee /sys/kernel/debug/ieee80211/{phy}/iwlwifi/*/debug/monitor_tx_rate'"
-                )
+                let file = format!("$(find /sys/kernel/debug/ieee80211/{phy}/iwlwifi -name monitor_tx_rate)");
+                format!("sudo sh -c 'echo {text} > \"{file}\"'")
             }
         }
     }
@@ -302,8 +301,8 @@ pub(crate) const MODULE_RATE: &str = "/sys/module/csi5300/parameters/monitor_tx_
 const FOLDER: &str = "/lib/firmware";
 /// csitool's firmware under the name that it is published under.
 const PUBLISHED: &str = "iwlwifi-5000-2.ucode.sigcomm2010";
-/// What is appended to the name of a firmware that is moved aside.
-const ASIDE: &str = ".csi5300-aside";
+/// What is appended to the name of a firmware that is moved aside, so that [`undo`] finds it.
+pub(super) const ASIDE: &str = ".csi5300-aside";
 
 /// True if the module is loaded, or can be.
 fn module_installed(system: &dyn System) -> bool {
@@ -485,6 +484,21 @@ mod tests {
             at("rm ") < at("mv /lib/firmware/iwlwifi-5000-5.ucode.csi5300-aside /lib/firmware/iwlwifi-5000-5.ucode")
         );
         assert!(at("mv ") < at("modprobe iwlwifi"));
+    }
+
+    #[test]
+    fn the_printed_step_finds_the_rate_file_wherever_a_kernel_has_it() {
+        for place in ["debug", "iwldvm/debug", "iwldvm", "."] {
+            let stage = stage("rate");
+            let file = format!("sys/kernel/debug/ieee80211/phy0/iwlwifi/{place}/monitor_tx_rate");
+            stage.put("sys/class/net/mon0/phy80211/name", "phy0\n");
+            stage.put(&file, "0x0\n");
+            let action = Action::WriteRate { interface: "mon0".into(), text: "0x4101".into() };
+            let line = Step { why: "", action, may_fail: false }.line();
+            let here = line.trim_start_matches("sudo ").replace("/sys/", &format!("{}/sys/", stage.root.display()));
+            assert!(std::process::Command::new("sh").args(["-c", &here]).status().unwrap().success(), "{here}");
+            assert_eq!(stage.tree().text(&file).as_deref(), Some("0x4101"), "{line}");
+        }
     }
 
     #[test]

@@ -179,7 +179,7 @@ impl Adapter for Ros1 {
 
     fn report(&mut self, said: &Said<'_>) {
         let Some(bridge) = self.bridge.as_ref().filter(|_| said.peer < self.peers) else { return };
-        let stamp = Time::from_us((said.report.t_s.unwrap_or(0.0) * 1e6) as i64);
+        let stamp = Time::from_us((said.report.t_s.unwrap_or(0.0) * 1e6).round() as i64);
         let header = Header { stamp, frame_id: self.settings.frame.clone() };
         if let Some(pose) = said::direction(&header, said.report) {
             bridge.outbox.put(2 * said.peer + 1, &pose);

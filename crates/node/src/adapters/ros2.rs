@@ -205,15 +205,9 @@ impl Topics {
         self.solved = team.solved;
         self.factors.put(&Text { data: team.factors.to_string() });
         if let (Some(pose), Some(own)) = (&self.pose, team.robots.first()) {
-            pose.put(&pose_of(node.header((own.t_s * 1e6) as i64, frame.clone()), own));
+            pose.put(&pose_of(node.header((own.t_s * 1e6).round() as i64, frame.clone()), own));
         }
     }
-}
-
-/// The rotation about z.
-fn turned(yaw_rad: f64) -> Quaternion {
-    let (z, w) = (0.5 * yaw_rad).sin_cos();
-    Quaternion { z, w, ..Quaternion::default() }
 }
 
 /// A robot's pose in the plane; an unknown heading has the variance of any.
@@ -229,13 +223,14 @@ fn pose_of(header: Header, own: &Member) -> PoseWithCovarianceStamped {
         covariance.0[5][5] = PI * PI;
     }
     let [x, y] = own.position_m;
-    let pose = Pose { position: [x, y, 0.0].into(), orientation: turned(own.heading_rad.unwrap_or(0.0)) };
+    let pose =
+        Pose { position: [x, y, 0.0].into(), orientation: Quaternion::along(own.heading_rad.unwrap_or(0.0), 0.0) };
     PoseWithCovarianceStamped { header, pose: PoseWithCovariance { pose, covariance } }
 }
 
 /// The odometry's frame in that of the places.
 fn transform(header: Header, [x, y, yaw]: [f64; 3], child: &str) -> TfMessage {
-    let transform = Transform { translation: Vector3 { x, y, z: 0.0 }, rotation: turned(yaw) };
+    let transform = Transform { translation: Vector3 { x, y, z: 0.0 }, rotation: Quaternion::along(yaw, 0.0) };
     TfMessage { transforms: vec![TransformStamped { header, child_frame_id: child.to_owned(), transform }] }
 }
 
@@ -254,7 +249,7 @@ fn markers_of(header: &Header, team: &TeamState, peers: &[String]) -> MarkerArra
         let pen = Pen { header, name: &format!("team/{}", own.name), colour: peer.map_or(OWN, colour) };
         let ([long, short], direction) = ellipse(own.covariance);
         let marker = |id: usize, kind: i32, alpha: f32, [x, y]: [f64; 2]| Marker {
-            pose: Pose { position: [x, y, 0.0].into(), orientation: turned(direction) },
+            pose: Pose { position: [x, y, 0.0].into(), orientation: Quaternion::along(direction, 0.0) },
             ..pen.marker(i32::try_from(id).unwrap_or(i32::MAX), kind, alpha, [2.0 * long, 2.0 * short, FLAT_M])
         };
         markers.push(marker(0, Marker::CYLINDER, 0.5, own.position_m));

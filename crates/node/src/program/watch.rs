@@ -232,7 +232,7 @@ fn draw(frame: &mut Frame<'_>, state: &Value, title: &str) {
     let [head, middle, wrong, foot] = Layout::vertical(rows).areas(frame.area());
     frame.render_widget(Paragraph::new(summary(state)).block(Block::bordered().title(title.to_owned())), head);
     let [list, rose] = parts(middle, peers.len());
-    frame.render_widget(table(&peers), list);
+    frame.render_widget(table(&peers, list.height), list);
     compass(frame, rose, state, &peers);
     frame.render_widget(Paragraph::new(trouble).style(Style::new().fg(Color::Red)), wrong);
     frame.render_widget(Paragraph::new("q ends; bearings are in the odometry's frame, +x to the right"), foot);
@@ -340,7 +340,14 @@ fn table_of(state: &Value) -> String {
     text
 }
 
-fn table(peers: &[Value]) -> Table<'static> {
+/// The peers, as many as there is room for in so many lines.
+fn table(peers: &[Value], lines: u16) -> Table<'static> {
+    // Two lines are the frame, one has the heads.
+    let room = usize::from(lines.saturating_sub(3));
+    let title = match peers.len() {
+        all if all > room => format!(" {room} of {all} peers; all: csi5300 watch --once "),
+        _ => " peers ".to_owned(),
+    };
     let row = |(k, peer): (usize, &Value)| {
         let held = text(peer, "/report/state") == "held";
         let style = Style::new().fg(COLOURS.get(k % COLOURS.len()).copied().unwrap_or(Color::White));
@@ -356,7 +363,7 @@ fn table(peers: &[Value]) -> Table<'static> {
         Constraint::Length(5),
     ];
     let head = Row::new(HEADS).style(Style::new().add_modifier(Modifier::BOLD));
-    Table::new(peers.iter().enumerate().map(row), widths).header(head).block(Block::bordered().title(" peers "))
+    Table::new(peers.iter().enumerate().map(row), widths).header(head).block(Block::bordered().title(title))
 }
 
 /// Bearings on a circle; mirrors thin, this robot's heading as a tick.
@@ -453,6 +460,11 @@ mod tests {
         }
         let five = screen(&serde_json::json!({ "trouble": ["one", "two", "three", "four", "five"] }), 80, 24);
         assert!(five.contains("three") && five.contains("and 2 more: ") && !five.contains("four"), "{five}");
+        let crowd = serde_json::json!({ "peers": (0..20).map(|k| serde_json::json!({ "name": format!("robot-{k}") })).collect::<Vec<_>>() });
+        let small = screen(&crowd, 80, 24);
+        assert!(small.contains(" 5 of 20 peers; all: csi5300 watch --once ") && !small.contains("robot-5"), "{small}");
+        let large = screen(&crowd, 200, 50);
+        assert!(large.contains(" peers ") && large.contains("robot-19"), "{large}");
         // The circle is as wide as high, in units of half a cell's height.
         let shown = screen(&serde_json::json!({}), 120, 30);
         let drawn = |line: &str| {

@@ -26,6 +26,7 @@ use csi5300::pipeline::live::PeerState;
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::source::{Error, Next};
 use csi5300::time::Instant;
+use csi5300_bag::messages::Quaternion;
 use door::{Door, Rules};
 use driver_iface::bfee::Antenna;
 use foxglove::{Channel, Context, Encode, WebSocketServer, WebSocketServerHandle, messages as fox};
@@ -90,7 +91,7 @@ impl Adapter for Shown {
             let path = fox::PosesInFrame {
                 timestamp: Some(timestamp(last.t_s)),
                 frame_id: ODOM.into(),
-                poses: poses.map(|pose| placed(pose, turn(pose.heading_rad.unwrap_or(0.0)))).collect(),
+                poses: poses.map(|pose| placed(pose, aim(pose.heading_rad.unwrap_or(0.0), 0.0))).collect(),
             };
             live.trajectory.log_with_time(&path, nanoseconds(last.t_s));
         }
@@ -123,7 +124,7 @@ impl Tap for Told {
 
     fn pose(&mut self, pose: Option<Pose>) {
         let Some(pose) = pose else { return };
-        let (live, rotation) = (lock(&self.live), turn(pose.heading_rad.unwrap_or(0.0)));
+        let (live, rotation) = (lock(&self.live), aim(pose.heading_rad.unwrap_or(0.0), 0.0));
         transform(&live.transforms, ROBOT, &pose, rotation);
         live.poses.log_with_time(&in_frame(&pose, rotation), nanoseconds(pose.t_s));
     }
@@ -266,9 +267,9 @@ fn profile(bearing: &Bearing, from: &Pose) -> Result<fox::LaserScan, bartlett::E
     let (frame_id, pose) = match bearing.heading_rad {
         Some(heading) => {
             let origin = Pose { position_m: Vector3::zeros(), ..*from };
-            (ROBOT, placed(&origin, turn(-heading)))
+            (ROBOT, placed(&origin, aim(-heading, 0.0)))
         }
-        None => (ODOM, placed(from, turn(0.0))),
+        None => (ODOM, placed(from, aim(0.0, 0.0))),
     };
     Ok(fox::LaserScan {
         timestamp: Some(timestamp(from.t_s)),
@@ -295,16 +296,10 @@ fn vector(pose: &Pose) -> fox::Vector3 {
     fox::Vector3 { x, y, z }
 }
 
-/// The rotation that turns +x to an azimuth.
-fn turn(azimuth_rad: f64) -> fox::Quaternion {
-    let (z, w) = (0.5 * azimuth_rad).sin_cos();
-    fox::Quaternion { x: 0.0, y: 0.0, z, w }
-}
-
 /// The rotation that turns +x to an azimuth and from there up to an elevation.
 fn aim(azimuth_rad: f64, elevation_rad: f64) -> fox::Quaternion {
-    let ((z, w), (up, level)) = ((0.5 * azimuth_rad).sin_cos(), (-0.5 * elevation_rad).sin_cos());
-    fox::Quaternion { x: -z * up, y: w * up, z: z * level, w: w * level }
+    let Quaternion { x, y, z, w } = Quaternion::along(azimuth_rad, elevation_rad);
+    fox::Quaternion { x, y, z, w }
 }
 
 fn placed(pose: &Pose, orientation: fox::Quaternion) -> fox::Pose {
