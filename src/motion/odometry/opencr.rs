@@ -617,7 +617,7 @@ impl Drive {
 mod tests {
     use super::*;
     use crate::motion::odometry::dynamixel::{self, crc16, emit, instruction};
-    use std::f64::consts::TAU;
+    use std::f64::consts::{FRAC_PI_2, TAU};
 
     #[test]
     fn offset_and_drift_are_found_below_the_delays() {
@@ -634,6 +634,19 @@ mod tests {
             let error_us = fit.host_us(late).unwrap() - true_host(late);
             assert!((0.0..900.0).contains(&error_us), "{drift_ppm}: {error_us}");
         }
+    }
+
+    #[test]
+    fn a_clock_that_was_set_begins_a_new_fit() {
+        let mut fit = ClockFit::default();
+        assert_eq!(fit.host_us(5), None);
+        for k in 0..1_000_i64 {
+            let jump = if k < 500 { 0 } else { -3_600_000_000 };
+            let host = 5_000_000_000 + k * 20_000 + jump + 200;
+            assert_eq!(fit.handle(k * 20_000, (host, host)), k == 500);
+        }
+        assert_eq!(fit.steps, 1);
+        assert!((fit.host_us(20_000_000).unwrap() - 1_420_000_200.0).abs() < 1.0);
     }
 
     fn ticks(metres: f64) -> i32 {
@@ -665,6 +678,18 @@ mod tests {
                 assert_eq!((counts.by_imu > 0, counts.by_wheels > 0, counts.jumps), (with_imu, !with_imu, 0));
             }
         }
+    }
+
+    #[test]
+    fn a_quarter_ends_where_geometry_says() {
+        let mut drive = Drive::new(Geometry::BURGER);
+        for k in 0..=100 {
+            let turned = FRAC_PI_2 * f64::from(k) / 100.0;
+            let (left, right) = (ticks(turned * 0.22), ticks(turned * 0.38));
+            drive.handle(f64::from(k) * 0.05, Reading { left, right, heading_rad: Some(turned) });
+        }
+        let (at, heading) = (drive.position_m, drive.heading_rad);
+        assert!((at - Vector3::new(0.3, 0.3, 0.0)).norm() < 1e-3 && (heading - FRAC_PI_2).abs() < 1e-9, "{at}");
     }
 
     #[test]
