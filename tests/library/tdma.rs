@@ -79,6 +79,24 @@ fn any_number_of_robots_keeps_in_step_by_hearing_alone() {
 }
 
 #[test]
+fn a_turn_that_nobody_takes_up_is_taken_back() {
+    let mut air = Air::new(&three(), 5);
+    air.run_s(5);
+    while !air.stations[0].tdma.has_turn() {
+        air.run_us(1_000);
+    }
+    air.run_us(100_000);
+    air.crash(1); // who is next
+    let before_us = air.now_us;
+    air.run_s(5);
+    let taken_back = times(&air, 0, began(Cause::TakenBack));
+    assert_eq!(taken_back.len(), 1);
+    assert!(taken_back[0] - before_us < 160_000 + SILENCE_US + 5_000);
+    assert!(times(&air, 2, began(Cause::Passed)).iter().any(|at| *at > taken_back[0]), "the third is next instead");
+    assert_eq!(air.collisions, 0);
+}
+
+#[test]
 fn only_the_chosen_links_are_sounded() {
     let mut configs = one_initiator(4, Request::new(4, 100.0));
     configs[0].links = Some(vec![mac(3), mac(1), mac(4)]);
