@@ -425,15 +425,6 @@ mod tests {
     }
 
     #[test]
-    fn a_header_is_as_long_as_it_says() {
-        for repr in [Repr::default(), Repr::injected(7, Bandwidth::Ht20)] {
-            let header = emitted(repr);
-            let bytes = [&header[..], &[1, 2, 3]].concat();
-            assert_eq!(Repr::parse(&bytes).unwrap().1, header.len()..bytes.len());
-        }
-    }
-
-    #[test]
     fn a_tx_status_copy_is_known_by_its_tx_flags() {
         let status = parsed(&emitted(Repr { tx_flags: Some(0), data_retries: Some(0), ..Repr::default() }));
         assert!(status.is_own_echo());

@@ -64,18 +64,22 @@ fn difference(at: &str, golden: &Value, found: &Value) -> Option<String> {
     }
 }
 
+/// What the fixture gives along its trajectory, changed by `change`.
+fn fixture(change: impl Fn(&Pose) -> Pose, options: &Options) -> CaptureReport {
+    let file = |name: &str| root().join("tests/fixtures/small-circle").join(name);
+    let mut rx = Replay::open(&file("csi_rx_2023-11-14_221320.dat")).unwrap();
+    let mut tx = Replay::open(&file("csi_tx1_2023-11-14_221320.dat")).unwrap();
+    let (read, _) = csv::read(&file("rx_trajectory_2023-11-14_221320_.csv")).unwrap();
+    let path = Trajectory::new(read.poses().iter().map(change).collect()).unwrap();
+    bearings(&mut rx, vec![Transmitter { log: &mut tx, trajectory: None }], &path, options).unwrap()
+}
+
 /// `CSI5300_REGENERATE=1 cargo test --test library golden` writes the golden answer anew.
 #[test]
 fn the_fixture_gives_the_golden_answer() {
-    let fixtures = root().join("tests/fixtures");
-    let file = |name: &str| fixtures.join("small-circle").join(name);
-    let mut rx = Replay::open(&file("csi_rx_2023-11-14_221320.dat")).unwrap();
-    let mut tx = Replay::open(&file("csi_tx1_2023-11-14_221320.dat")).unwrap();
-    let (path, _) = csv::read(&file("rx_trajectory_2023-11-14_221320_.csv")).unwrap();
-    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let report = bearings(&mut rx, transmitters, &path, &options()).unwrap();
+    let report = fixture(Pose::clone, &options());
     let found = serde_json::to_value(Answer::new("tx1".into(), &report.links[0])).unwrap();
-    let golden = fixtures.join("small-circle.answer.json");
+    let golden = root().join("tests/fixtures/small-circle.answer.json");
     if std::env::var_os("CSI5300_REGENERATE").is_some() {
         std::fs::write(&golden, serde_json::to_string_pretty(&found).unwrap() + "\n").unwrap();
     }
@@ -87,13 +91,7 @@ fn the_fixture_gives_the_golden_answer() {
 #[test]
 fn a_body_azimuth_is_seen_from_the_end_of_the_motion_where_there_is_a_place() {
     let heading_rad = 0.7;
-    let folder = root().join("tests/fixtures/small-circle");
-    let (read, _) = csv::read(&folder.join("rx_trajectory_2023-11-14_221320_.csv")).unwrap();
-    let poses = read.poses().iter().map(|pose| Pose { heading_rad: Some(heading_rad), ..*pose }).collect();
-    let mut rx = Replay::open(&folder.join("csi_rx_2023-11-14_221320.dat")).unwrap();
-    let mut tx = Replay::open(&folder.join("csi_tx1_2023-11-14_221320.dat")).unwrap();
-    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let report = bearings(&mut rx, transmitters, &Trajectory::new(poses).unwrap(), &options()).unwrap();
+    let report = fixture(|pose| Pose { heading_rad: Some(heading_rad), ..*pose }, &options());
     let found = report.links[0].bearing.as_ref().unwrap();
     let answer = Answer::new("tx1".into(), &report.links[0]);
     assert_eq!(answer.origin_m.map(Vector3::from), Some(found.mean_position_m));
@@ -113,12 +111,7 @@ fn a_body_azimuth_is_seen_from_the_end_of_the_motion_where_there_is_a_place() {
 
 #[test]
 fn the_fixture_gives_its_range_change_to_a_millimetre() {
-    let folder = root().join("tests/fixtures/small-circle");
-    let mut rx = Replay::open(&folder.join("csi_rx_2023-11-14_221320.dat")).unwrap();
-    let mut tx = Replay::open(&folder.join("csi_tx1_2023-11-14_221320.dat")).unwrap();
-    let (path, _) = csv::read(&folder.join("rx_trajectory_2023-11-14_221320_.csv")).unwrap();
-    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let report = bearings(&mut rx, transmitters, &path, &Options { range_change: true, ..options() }).unwrap();
+    let report = fixture(Pose::clone, &Options { range_change: true, ..options() });
     let bearing = report.links[0].bearing.as_ref().unwrap();
     let found = bearing.range_change.as_ref().unwrap().as_ref().unwrap();
     let places = bearing.samples.receiver_m();
@@ -197,12 +190,14 @@ fn who_exchanges_the_two_logs_finds_the_negated_carrier_frequency_offset() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 6, failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
-    fn a_turned_trajectory_turns_the_bearing(azimuth_rad in -3.1..3.1f64, turn_rad in -3.1..3.1f64) {
+    fn a_turned_trajectory_turns_the_bearing_wherever_it_begins(
+        azimuth_rad in -3.1..3.1f64, turn_rad in -3.1..3.1f64, origin_m in -1e6..1e6f64
+    ) {
         let made = link(300, azimuth_rad);
         let path = trajectory(&made);
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), turn_rad);
         let turned = |pose: &Pose| Pose {
-            position_m: turn * pose.position_m,
+            position_m: turn * pose.position_m + Vector3::new(origin_m, -origin_m, 0.0),
             heading_rad: pose.heading_rad.map(|heading| wrap_rad(heading + turn_rad)),
             ..*pose
         };

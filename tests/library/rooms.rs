@@ -339,20 +339,6 @@ fn bearing(run: &Simulation, finely: bool) -> Bearing {
     report.links.pop().unwrap().bearing.unwrap()
 }
 
-#[test]
-fn a_room_with_two_ax210s_gives_its_bearing() {
-    for (k, preamble) in ["he", "ht", "vht"].into_iter().enumerate() {
-        for azimuth_deg in [-100.0, 20.0, 140.0] {
-            let run = ax210s((azimuth_deg, 5.0 + 8.0 * k as f64), preamble, 4.0 - 3.0 * k as f64, 7 + k as u64);
-            let found = bearing(&run, true);
-            let off = off_deg(&found, &run);
-            assert!(off.abs() < 0.2, "{preamble} {azimuth_deg}: {off} degrees off");
-            assert!(found.pairs.formed as f64 >= 0.99 * run.robots[0].records as f64, "{:?}", found.pairs);
-            assert!(off.abs() < 4.0 * found.answer.azimuth_sd_rad.to_degrees() + 0.02, "{off} {:?}", found.answer);
-        }
-    }
-}
-
 /// Crystals 18 ppm apart, 100 kHz: a microsecond of the turn-around is a tenth of a turn.
 #[test]
 fn the_ftm_clock_takes_the_turn_around_out_where_microseconds_leave_a_part() {
@@ -360,9 +346,11 @@ fn the_ftm_clock_takes_the_turn_around_out_where_microseconds_leave_a_part() {
     let runs = 6;
     for seed in 0..runs {
         // So far away that the wave is plane.
-        let run = ax210s((20.0 + 70.0 * seed as f64, 500.0), "he", 18.0, seed);
+        let preamble = ["he", "ht", "vht"][seed as usize % 3];
+        let run = ax210s((20.0 + 70.0 * seed as f64, 500.0), preamble, 18.0, seed);
         for (k, finely) in [true, false].into_iter().enumerate() {
             let found = bearing(&run, finely);
+            assert!(found.pairs.formed as f64 >= 0.99 * run.robots[0].records as f64, "{preamble}: {:?}", found.pairs);
             errors[k] += off_deg(&found, &run).powi(2) / runs as f64;
             coherence[k] += found.plane_wave.coherence / runs as f64;
         }

@@ -20,57 +20,22 @@ fn one_initiator(peers: usize, request: Request) -> Vec<Config> {
 }
 
 #[test]
-fn twelve_peers_at_100_rounds_per_second_run() {
-    let mut air = Air::new(&one_initiator(12, Request::new(12, 100.0)), 1);
-    air.jitter_us = 40;
-    air.run_s(2);
-    let before = air.stations[0].answered.clone();
-    air.run_s(10);
-    for (peer, (after, before)) in air.stations[0].answered.iter().zip(&before).enumerate().skip(1) {
-        let answers = after - before;
-        assert!((999..=1_001).contains(&answers), "{answers} answers of peer {peer} in 10 s");
-    }
-    assert_eq!((air.collisions, air.stations[0].tdma.counts().missed_slots), (0, 0));
-    assert!(air.stations.iter().all(|station| station.tdma.initiator() == Some(mac(0))));
-}
-
-#[test]
-fn thirty_two_peers_are_refused_at_100_and_run_at_the_rate_that_is_offered() {
-    let request = Request::new(32, 100.0);
-    let Err(PlanError::Rate { highest_hz, .. }) = Tdma::new(&one_initiator(32, request)[0]) else {
+fn what_a_plan_promises_is_sounded_and_32_peers_get_the_rate_that_is_offered() {
+    let Err(PlanError::Rate { highest_hz, .. }) = Tdma::new(&one_initiator(32, Request::new(32, 100.0))[0]) else {
         panic!("32 peers at 100 rounds/s cannot fit");
     };
-    let mut air = Air::new(&one_initiator(32, Request { rate_hz: highest_hz, ..request }), 2);
-    air.jitter_us = 50;
-    air.run_s(5);
-    let before = air.pairs();
-    air.run_s(10);
-    let expect = highest_hz * 32.0 * 10.0;
-    assert!(((air.pairs() - before) as f64 - expect).abs() <= 33.0, "{} of {expect}", air.pairs() - before);
-    assert_eq!(air.collisions, 0);
-}
-
-#[test]
-fn an_hour_of_two_robots_at_60_percent_loss_has_no_overlap_and_no_drift() {
-    let mut air = Air::new(&everybody(2, Request::new(1, 100.0)), 3);
-    (air.loss, air.jitter_us) = (0.6, 50);
-    air.run_s(3_600);
-    let sounded: u64 = air.stations.iter().map(|station| station.tdma.counts().forward).sum();
-    assert_eq!(air.collisions, 0);
-    assert!(sounded > 355_000, "{sounded} of 360,000 slots used");
-    let rate = air.pairs() as f64 / sounded as f64;
-    assert!((rate - 0.16).abs() < 0.005, "both frames get through in 16 % of the rounds, not {rate}");
-}
-
-#[test]
-fn answers_are_fair_under_20_percent_loss() {
-    for n in [2, 5, 12] {
-        let mut air = Air::new(&everybody(n, Request::new(n as u16 - 1, 50.0)), 4 + n as u64);
-        (air.loss, air.jitter_us) = (0.2, 50);
-        let turn_us = air.stations[0].tdma.plan().cycle_us(n as u32) as i64;
-        air.run_us(turn_us * 60);
-        assert!(air.jain() > 0.99, "{n} robots: {}", air.jain());
-        assert_eq!(air.collisions, 0);
+    for (peers, rate_hz) in [(12, 100.0), (32, highest_hz)] {
+        let mut air = Air::new(&one_initiator(peers, Request::new(peers as u16, rate_hz)), 1);
+        air.jitter_us = 40;
+        air.run_s(2);
+        let before = air.stations[0].answered.clone();
+        air.run_s(10);
+        for (peer, (after, before)) in air.stations[0].answered.iter().zip(&before).enumerate().skip(1) {
+            let off = (after - before) as f64 - 10.0 * rate_hz;
+            assert!(off.abs() <= 1.0, "{off} answers of peer {peer} of {peers} too many in 10 s");
+        }
+        assert_eq!((air.collisions, air.stations[0].tdma.counts().missed_slots), (0, 0));
+        assert!(air.stations.iter().all(|station| station.tdma.initiator() == Some(mac(0))));
     }
 }
 
@@ -88,62 +53,46 @@ fn short_turns_interleave_the_robots() {
 }
 
 #[test]
-fn robots_without_a_common_clock_take_the_epoch_from_the_air() {
-    let request = Request::new(4, 100.0);
-    let mut configs = everybody(5, request);
-    let skews: Vec<Skew> = (0..5)
-        .map(|k| Skew { offset_us: 1_000_003 * k * k - 7_000_000, ppm: [0, 20, -20, 40, -40][k as usize] })
-        .collect();
-    for (k, config) in configs.iter_mut().enumerate() {
-        config.epoch = Epoch::Heard(skews[k].local(0));
-        config.initiate = k == 2;
-    }
-    let mut air = Air::new(&configs, 9);
-    air.restart_with_skew(&configs, &skews);
-    (air.loss, air.jitter_us) = (0.1, 30);
-    air.run_s(5);
-    assert!(air.stations.iter().all(|station| station.tdma.is_synchronised()));
-    (0..5).for_each(|k| air.set_initiate(k, true));
-    air.run_s(600);
-    assert_eq!(air.collisions, 0);
-    let turns: Vec<u64> = air.stations.iter().map(|station| station.tdma.counts().turns).collect();
-    assert!(turns.iter().all(|count| *count > 300), "{turns:?}");
-    assert!(air.jain() > 0.98, "{}", air.jain());
-    let off: u64 = air.stations.iter().map(|station| station.tdma.counts().off_epoch).sum();
-    assert_eq!(off, 0);
-}
-
-#[test]
 fn any_number_of_robots_keeps_in_step_by_hearing_alone() {
     for n in [2usize, 3, 8, 16, 32] {
         let mut configs = everybody(n, Request::new(n as u16 - 1, 1_200.0 / n as f64));
-        let skews: Vec<Skew> =
-            (0..n as i64).map(|k| Skew { offset_us: 333_337 * k, ppm: (k * 37 % 101) - 50 }).collect();
+        let skews: Vec<Skew> = (0..n as i64)
+            .map(|k| Skew { offset_us: 1_000_003 * k * k - 7_000_000, ppm: (k * 37 % 101) - 50 })
+            .collect();
         for (k, config) in configs.iter_mut().enumerate() {
             config.epoch = Epoch::Heard(skews[k].local(0));
             config.initiate = k == 0;
         }
         let mut air = Air::new(&configs, n as u64);
         air.restart_with_skew(&configs, &skews);
-        (air.loss, air.jitter_us) = (0.4, 40);
+        // Eight hear each other well, and long enough to show who gets how much.
+        (air.loss, air.jitter_us) = (if n == 8 { 0.1 } else { 0.4 }, 40);
         air.run_s(6);
         assert!(air.stations.iter().all(|station| station.tdma.is_synchronised()), "{n} robots");
         (0..n).for_each(|k| air.set_initiate(k, true));
-        air.run_s(10);
+        air.run_s(if n == 8 { 300 } else { 10 });
+        let off: u64 = air.stations.iter().map(|station| station.tdma.counts().off_epoch).sum();
         assert_eq!(air.collisions, 0, "{n} robots");
-        let took_turns = air.stations.iter().filter(|station| station.tdma.counts().turns > 0).count();
-        assert_eq!(took_turns, n);
+        assert!(air.stations.iter().all(|station| station.tdma.counts().turns > 0), "{n} robots");
+        assert!(n != 8 || off <= 1 && air.jain() > 0.97, "{off} off, {}", air.jain());
     }
 }
 
 #[test]
-fn a_late_driver_loses_slots_and_sends_nothing_late() {
-    let mut air = Air::new(&one_initiator(3, Request::new(3, 100.0)), 10);
-    air.jitter_us = 150; // three guards: two of three wake-ups are too late
-    air.run_s(20);
-    let counts = air.stations[0].tdma.counts();
-    let share = counts.missed_slots as f64 / (counts.missed_slots + counts.forward) as f64;
-    assert!((0.6..0.72).contains(&share), "{share}");
+fn a_turn_that_nobody_takes_up_is_taken_back() {
+    let mut air = Air::new(&three(), 5);
+    air.run_s(5);
+    while !air.stations[0].tdma.has_turn() {
+        air.run_us(1_000);
+    }
+    air.run_us(100_000);
+    air.crash(1); // who is next
+    let before_us = air.now_us;
+    air.run_s(5);
+    let taken_back = times(&air, 0, began(Cause::TakenBack));
+    assert_eq!(taken_back.len(), 1);
+    assert!(taken_back[0] - before_us < 160_000 + SILENCE_US + 5_000);
+    assert!(times(&air, 2, began(Cause::Passed)).iter().any(|at| *at > taken_back[0]), "the third is next instead");
     assert_eq!(air.collisions, 0);
 }
 
@@ -274,31 +223,6 @@ fn a_frame_that_was_not_sent_neither_counts_nor_waits() {
     assert_eq!(second.counts().replies, 75);
 }
 
-#[test]
-fn the_answer_carries_the_responders_measurement_once() {
-    let configs = one_initiator(1, Request::new(1, 100.0));
-    let mut first = Tdma::new(&configs[0]).unwrap();
-    let mut second = Tdma::new(&configs[1]).unwrap();
-    let measurement = measured(1);
-    assert!(!second.set_measurement(mac(0), measurement), "not heard yet: kept for the answer to that frame");
-    assert!(!second.set_measurement(mac(7), measurement));
-    let mut received = Vec::new();
-    let mut now = Instant::ZERO;
-    while received.len() < 2 {
-        now = now.max(first.poll_timeout().unwrap());
-        let Some(frame) = first.poll_transmit(now).map(|transmit| transmit.frame.to_vec()) else { continue };
-        second.handle_heard(now, now, &frame);
-        let answer = second.poll_transmit(now).map(|transmit| transmit.frame.to_vec()).unwrap();
-        first.handle_heard(now, now, &answer);
-        while let Some(event) = first.poll_event() {
-            if let Event::Answered { number, measurement, .. } = event {
-                received.push((number, measurement));
-            }
-        }
-    }
-    assert_eq!(received, [(1, Some(measurement)), (2, None)]);
-}
-
 /// 3 robots at 100 rounds/s: slots of 5 ms, turns of 32 slots = 160 ms, silence of 64 slots = 320 ms.
 const SILENCE_US: i64 = 320_000;
 
@@ -399,24 +323,6 @@ fn a_crashed_initiator_is_replaced_within_the_claim_windows() {
 }
 
 #[test]
-fn a_turn_that_nobody_takes_up_is_taken_back() {
-    let mut air = Air::new(&three(), 5);
-    air.run_s(5);
-    while !air.stations[0].tdma.has_turn() {
-        air.run_us(1_000);
-    }
-    air.run_us(100_000);
-    air.crash(1); // who is next
-    let before_us = air.now_us;
-    air.run_s(5);
-    let taken_back = times(&air, 0, began(Cause::TakenBack));
-    assert_eq!(taken_back.len(), 1);
-    assert!(taken_back[0] - before_us < 160_000 + SILENCE_US + 5_000);
-    assert!(times(&air, 2, began(Cause::Passed)).iter().any(|at| *at > taken_back[0]), "the third is next instead");
-    assert_eq!(air.collisions, 0);
-}
-
-#[test]
 fn a_restart_begins_numbers_anew_under_another_session() {
     let configs = three();
     let mut air = Air::new(&configs, 6);
@@ -504,22 +410,6 @@ fn two_cold_starters_without_a_common_clock_end_up_with_one_initiator() {
         assert!(air.pairs() - before > 3_900, "seed {seed}: {}", air.pairs() - before);
         assert_eq!(air.collisions, collisions, "seed {seed}");
     }
-}
-
-#[test]
-fn a_driver_that_sleeps_through_its_turn_finds_it_gone() {
-    let mut air = Air::new(&three(), 8);
-    air.run_s(5);
-    while !air.stations[2].tdma.has_turn() {
-        air.run_us(1_000);
-    }
-    // Robot 2's driver is held up for 3 s; the others go on.
-    air.crash(2);
-    air.run_s(3);
-    air.stations[2].on = true;
-    air.run_s(5);
-    assert_eq!(air.stations[2].tdma.counts().overslept, 1);
-    assert_eq!((air.collisions, air.initiators()), (0, 1));
 }
 
 #[test]
@@ -629,6 +519,14 @@ fn kernel_answer(mpdu: &[u8], ack_len: usize, own: Mac) -> Option<Vec<u8>> {
     Some(with_fcs)
 }
 
+/// A frame of this number, and of this length with its checksum, from robot 200.
+fn wsr_frame(number: u32, len_with_fcs: usize) -> Vec<u8> {
+    let mut buffer = [0; 120];
+    let repr = wsr::Repr { sender: mac(200), number, len_with_fcs };
+    let len = repr.emit(&mut buffer, &mut wsr::Lfsr::default()).unwrap();
+    buffer[..len].to_vec()
+}
+
 #[test]
 fn three_kernel_responders_are_sounded_beyond_100_000_packets() {
     let (own, peers) = (mac(200), [mac(3), mac(1), mac(2)]);
@@ -690,17 +588,14 @@ fn an_open_loop_sender_goes_on_without_hearing_anything() {
 
 #[test]
 fn our_responder_answers_as_the_kernel_does() {
-    let (own, initiator) = (mac(5), mac(200));
-    let mut tdma = Tdma::new(&Config::new(own, 1, &[initiator], wsr_request(3, 100.0), 1)).unwrap();
-    let mut filler = wsr::Lfsr::default();
-    let mut buffer = [0; 80];
+    let own = mac(5);
+    let mut tdma = Tdma::new(&Config::new(own, 1, &[mac(200)], wsr_request(3, 100.0), 1)).unwrap();
     for (number, k) in (1..=300u32).zip([0, 1, 2].into_iter().cycle()) {
-        let repr = wsr::Repr { sender: initiator, number, len_with_fcs: 57 + 2 * k };
-        let len = repr.emit(&mut buffer, &mut filler).unwrap();
+        let frame = wsr_frame(number, 57 + 2 * k);
         let now = Instant::from_us(i64::from(number) * 3_000);
-        tdma.handle_heard(now, now, &buffer[..len]);
+        tdma.handle_heard(now, now, &frame);
         let answer = tdma.poll_transmit(now).map(|transmit| transmit.frame.to_vec());
-        let kernel = kernel_answer(&buffer[..len], 59, own);
+        let kernel = kernel_answer(&frame, 59, own);
         assert_eq!(answer.is_some(), kernel.is_some());
         if let (Some(answer), Some(kernel)) = (answer, kernel) {
             assert_eq!(answer.len(), kernel.len());
@@ -713,15 +608,11 @@ fn our_responder_answers_as_the_kernel_does() {
 
 #[test]
 fn a_sender_with_one_number_for_all_robots_of_a_round_is_answered() {
-    let (own, initiator) = (mac(5), mac(200));
-    let mut tdma = Tdma::new(&Config::new(own, 1, &[initiator], wsr_request(3, 100.0), 1)).unwrap();
-    let mut buffer = [0; 80];
+    let mut tdma = Tdma::new(&Config::new(mac(5), 1, &[mac(200)], wsr_request(3, 100.0), 1)).unwrap();
     for number in 1..=100u32 {
         for k in [0, 1, 1, 2] {
-            let repr = wsr::Repr { sender: initiator, number, len_with_fcs: 57 + 2 * k };
-            let len = repr.emit(&mut buffer, &mut wsr::Lfsr::default()).unwrap();
             let now = Instant::from_us(i64::from(number) * 10_000 + k as i64 * 3_000);
-            tdma.handle_heard(now, now, &buffer[..len]);
+            tdma.handle_heard(now, now, &wsr_frame(number, 57 + 2 * k));
             while tdma.poll_transmit(now).is_some() {}
         }
     }
@@ -730,36 +621,20 @@ fn a_sender_with_one_number_for_all_robots_of_a_round_is_answered() {
 }
 
 #[test]
-fn an_answer_given_too_late_is_skipped() {
-    let (own, initiator) = (mac(5), mac(200));
-    let mut tdma = Tdma::new(&Config::new(own, 0, &[initiator], wsr_request(3, 100.0), 1)).unwrap();
-    let mut buffer = [0; 80];
-    let repr = wsr::Repr { sender: initiator, number: 1, len_with_fcs: 57 };
-    let len = repr.emit(&mut buffer, &mut wsr::Lfsr::default()).unwrap();
-    let ended = Instant::from_us(1_000);
-    tdma.handle_heard(ended + Span::from_us(300), ended, &buffer[..len]);
-    assert!(tdma.poll_transmit(ended + Span::from_us(323)).is_none());
-    assert_eq!((tdma.counts().replies, tdma.counts().missed_replies), (0, 1));
-}
-
-#[test]
 fn an_answer_is_given_up_to_one_turn_around_after_its_frame_and_only_the_newest() {
-    let (own, initiator) = (mac(5), mac(200));
-    let mut tdma = Tdma::new(&Config::new(own, 0, &[initiator], wsr_request(3, 100.0), 1)).unwrap();
-    let hear = |tdma: &mut Tdma, number, ended| {
-        let mut buffer = [0; 80];
-        let repr = wsr::Repr { sender: initiator, number, len_with_fcs: 57 };
-        let len = repr.emit(&mut buffer, &mut wsr::Lfsr::default()).unwrap();
-        tdma.handle_heard(ended, ended, &buffer[..len]);
-    };
+    let request = wsr_request(3, 100.0);
+    let mut tdma = Tdma::new(&Config::new(mac(5), 0, &[mac(200)], request, 1)).unwrap();
+    let hear = |tdma: &mut Tdma, number, ended| tdma.handle_heard(ended, ended, &wsr_frame(number, 57));
     let ended = Instant::from_us(1_000);
-    let latest = ended + Span::from_us(i64::from(wsr_request(3, 100.0).turn_around_us));
+    let latest = ended + Span::from_us(i64::from(request.turn_around_us));
     hear(&mut tdma, 1, ended);
     hear(&mut tdma, 2, ended);
     assert_eq!(tdma.counts().missed_replies, 1, "the first was not fetched");
     let answer = tdma.poll_transmit(latest).map(|transmit| (transmit.number, transmit.latest));
     assert_eq!(answer, Some((2, latest)), "at the very last");
-    assert_eq!((tdma.counts().replies, tdma.counts().missed_replies), (1, 1));
+    hear(&mut tdma, 3, ended);
+    assert!(tdma.poll_transmit(latest + Span::from_us(1)).is_none());
+    assert_eq!((tdma.counts().replies, tdma.counts().missed_replies), (1, 2));
 }
 
 #[test]
@@ -778,12 +653,9 @@ fn lengths_of_no_robot_are_foreign_and_an_answer_counts_once() {
         tdma.handle_heard(now, now, heard);
         assert_eq!((tdma.counts().answered, tdma.counts().unmatched), (1, unmatched));
     }
-    let mut buffer = [0; 120];
     for foreign in 1..4 {
         // Beyond the last robot's, and no answer's.
-        let repr = wsr::Repr { sender: mac(200), number: foreign, len_with_fcs: 97 };
-        let len = repr.emit(&mut buffer, &mut wsr::Lfsr::default()).unwrap();
-        tdma.handle_heard(now, now, &buffer[..len]);
+        tdma.handle_heard(now, now, &wsr_frame(foreign, 97));
         assert_eq!(tdma.counts().foreign, u64::from(foreign));
     }
 }
@@ -874,13 +746,6 @@ fn adversary(age_us: i64, dice_seed: u64) -> Adversary {
     })
 }
 
-/// One link for all, authenticated.
-fn one_link() -> Request {
-    let mut request = request(true);
-    request.links = 1;
-    request
-}
-
 /// Three links, 200 rounds a second, answers with measurements.
 fn request(authenticated: bool) -> Request {
     Request { dialect: Dialect::Native { measurement: true, authenticated }, ..Request::new(3, 200.0) }
@@ -933,32 +798,6 @@ fn without_a_key_forgeries_cost_some_pairs_and_stop_nothing() {
     air.run_s(10);
     assert_eq!(air.collisions, before.1, "the damage does not outlast the stranger");
     assert!(air.pairs() - before.0 > 5_200);
-}
-
-/// The `n`-th forward frame of robot `k`, which hears nothing, is switched on at `start` and waits for a short silence.
-fn frame_of(k: usize, start: Instant, n: usize) -> (Instant, Vec<u8>) {
-    let mut config = everybody(4, request(false))[k].clone();
-    (config.start, config.silence_slots) = (start, 4);
-    let mut tdma = Tdma::new(&config).unwrap();
-    let mut frames = std::iter::repeat_with(|| {
-        let now = tdma.poll_timeout().unwrap();
-        tdma.poll_transmit(now).map(|sent| (now, sent.frame.to_vec()))
-    });
-    frames.by_ref().flatten().nth(n).unwrap()
-}
-
-#[test]
-fn an_initiator_of_an_earlier_turn_is_believed_at_once_only_after_a_silence() {
-    // Robot 0 had some fifty turns when it was heard; robot 1 begins with its first.
-    let (at, late) = frame_of(0, Instant::ZERO, 2_000);
-    for (pause_us, believed) in [(0, false), (1_000_000, true)] {
-        let mut listener = Tdma::new(&Config { initiate: false, ..everybody(4, request(false))[3].clone() }).unwrap();
-        listener.handle_heard(at, at, &late);
-        assert_eq!(listener.initiator(), Some(mac(0)));
-        let (then, early) = frame_of(1, at + Span::from_us(pause_us), 0);
-        listener.handle_heard(then, then, &early);
-        assert_eq!(listener.initiator(), Some(mac(usize::from(believed))), "a pause of {} us", (then - at).as_us());
-    }
 }
 
 /// One step of a hostile driver.
@@ -1032,63 +871,59 @@ fn a_key_is_needed_on_both_sides_and_in_the_plan() {
     let with = |authenticated, key| Tdma::new(&Config { key, ..everybody(4, request(authenticated))[0].clone() });
     assert_eq!(with(true, None).err(), Some(PlanError::Key));
     assert_eq!(with(false, key.clone()).err(), Some(PlanError::Key));
-    assert!(with(true, key).is_ok());
+    assert!(with(true, key.clone()).is_ok());
+    let of_wsr = Config { key, ..everybody(4, wsr_request(3, 100.0))[0].clone() };
+    assert_eq!(Tdma::new(&of_wsr).err(), Some(PlanError::Key));
 }
 
-#[test]
-fn a_wrong_key_and_an_old_session_are_not_answered() {
-    let configs = everybody(2, one_link());
-    let with = |k: usize, key: u8, session| {
-        let config = Config { key: Some(Key::new([key; 16])), session, initiate: k == 0, ..configs[k].clone() };
-        Tdma::new(&config).unwrap()
+/// Three robots with files of their own, of which the first initiates.
+fn three_with_keys() -> Vec<Config> {
+    let configs = everybody(3, request(true));
+    let macs: Vec<Mac> = configs.iter().map(|config| config.own.mac).collect();
+    let with_key = |(k, config): (usize, Config)| {
+        let peers: Vec<Mac> = macs.iter().copied().filter(|mac| *mac != macs[k]).collect();
+        Config { key: Some(Key::new([1; 16]).for_robot(macs[k], &peers)), session: 5, initiate: k == 0, ..config }
     };
-    let first_frame = |mut tdma: Tdma| {
-        let now = tdma.poll_timeout().unwrap();
-        (now, tdma.poll_transmit(now).unwrap().frame.to_vec())
-    };
-    let (now, wrong) = first_frame(with(0, 2, 5));
-    let (_, old) = first_frame(with(0, 1, 4));
-    let (_, good) = first_frame(with(0, 1, 5));
-    let mut responder = with(1, 1, 9);
-    let mut answers = |frame: &[u8]| {
-        responder.handle_heard(now, now, frame);
-        responder.poll_transmit(now).is_some()
-    };
-    assert!(!answers(&wrong));
-    assert!(answers(&good));
-    assert!(!answers(&good), "a repetition");
-    assert!(!answers(&old), "a restart has a later session");
-    assert_eq!((responder.counts().unauthenticated, responder.counts().replayed), (1, 2));
+    configs.into_iter().enumerate().map(with_key).collect()
+}
+
+/// Frames of robot 0 to all others, in order: when each was sent, to whom, and its bytes.
+fn sent_by_the_first(configs: &[Config], count: usize) -> Vec<(Instant, Mac, Vec<u8>)> {
+    let mut tdma = Tdma::new(&configs[0]).unwrap();
+    std::iter::from_fn(|| {
+        let now = tdma.poll_timeout()?;
+        Some(tdma.poll_transmit(now).map(|sent| (now, sent.peer, sent.frame.to_vec())))
+    })
+    .flatten()
+    .take(count)
+    .collect()
+}
+
+/// The first four of them to robot `to`, under a session.
+fn four_to(to: usize, session: u32) -> Vec<(Instant, Vec<u8>)> {
+    let mut configs = three_with_keys();
+    configs[0].session = session;
+    let sent = sent_by_the_first(&configs, 12).into_iter().filter(|(_, peer, _)| *peer == mac(to));
+    sent.map(|(now, _, frame)| (now, frame)).take(4).collect()
 }
 
 #[test]
 fn what_was_taped_before_a_restart_is_not_answered_after_it() {
-    let configs = everybody(2, one_link());
-    let key = Some(Key::new([1; 16]));
-    let initiator = |session| Config { key: key.clone(), session, initiate: true, ..configs[0].clone() };
-    let frames = |session| {
-        let (mut tdma, mut frames) = (Tdma::new(&initiator(session)).unwrap(), Vec::new());
-        while frames.len() < 3 {
-            let now = tdma.poll_timeout().unwrap();
-            frames.extend(tdma.poll_transmit(now).map(|transmit| (now, transmit.number, transmit.frame.to_vec())));
-        }
-        frames
-    };
-    let (old, current) = (frames(4), frames(5));
-    let answers = |heard: &[(Mac, u32, u32)], (now, _, frame): &(Instant, u32, Vec<u8>)| {
-        let mut config = Config { key: key.clone(), session: 9, ..configs[1].clone() };
-        config.heard = heard.to_vec();
+    let (old, current) = (four_to(1, 4), four_to(1, 5));
+    let number = |frame: &[u8]| native::Repr::parse(&Frame::new_checked(frame).unwrap()).unwrap().number;
+    let answers = |heard: &[(Mac, u32, u32)], (now, frame): &(Instant, Vec<u8>)| {
+        let config = Config { session: 9, heard: heard.to_vec(), ..three_with_keys().remove(1) };
         let mut responder = Tdma::new(&config).unwrap();
         responder.handle_heard(*now, *now, frame);
         responder.poll_transmit(*now).is_some()
     };
     assert!(answers(&[], &old[0]), "without memory a tape is as good as a frame");
     // It had heard session 5 up to the second frame's number.
-    let heard = [(configs[0].own.mac, 5, current[1].1)];
+    let heard = [(mac(0), 5, number(&current[1].1))];
     assert!(!answers(&heard, &old[0]) && !answers(&heard, &old[2]), "an older session");
     assert!(!answers(&heard, &current[0]) && !answers(&heard, &current[1]), "of this session, up to there");
     assert!(answers(&heard, &current[2]), "the exchange goes on");
-    assert!(answers(&heard, &frames(6)[0]), "a newer session");
+    assert!(answers(&heard, &four_to(1, 6)[0]), "a newer session");
 }
 
 /// An initiator's exchanges with its first peer under a session: each forward frame with its answer.
@@ -1112,25 +947,10 @@ fn exchanges(configs: &[Config], session: u32, count: usize) -> Vec<(Instant, Ve
 /// Frames from robot 0 to the third, as far as the second can tell, are made by any robot of the group.
 #[test]
 fn what_a_robot_says_in_anothers_name_to_a_third_silences_nobody() {
-    let key = Key::new([1; 16]);
-    let configs = everybody(3, request(true));
-    let of = |k: usize| {
-        let peers: Vec<Mac> =
-            configs.iter().map(|config| config.own.mac).filter(|mac| *mac != configs[k].own.mac).collect();
-        Config { key: Some(key.for_robot(configs[k].own.mac, &peers)), initiate: k == 0, ..configs[k].clone() }
-    };
-    let frames = |session, to: usize| {
-        let (mut tdma, mut frames) = (Tdma::new(&Config { session, ..of(0) }).unwrap(), Vec::new());
-        while frames.len() < 4 {
-            let now = tdma.poll_timeout().unwrap();
-            let sent = tdma.poll_transmit(now).filter(|sent| sent.peer == configs[to].own.mac);
-            frames.extend(sent.map(|sent| (now, sent.frame.to_vec())));
-        }
-        frames
-    };
-    let honest = frames(5, 1);
-    for forged in [frames(5 + 0x7fff_0000, 2).remove(0).1, frames(5, 2).remove(3).1] {
-        let mut responder = Tdma::new(&Config { session: 9, ..of(1) }).unwrap();
+    let responder = || Tdma::new(&Config { session: 9, ..three_with_keys().remove(1) }).unwrap();
+    let honest = four_to(1, 5);
+    for forged in [four_to(2, 5 + 0x7fff_0000).remove(0).1, four_to(2, 5).remove(3).1] {
+        let mut responder = responder();
         for (now, frame) in &honest {
             responder.handle_heard(*now, *now, &forged);
             responder.handle_heard(*now, *now, frame);
@@ -1140,35 +960,12 @@ fn what_a_robot_says_in_anothers_name_to_a_third_silences_nobody() {
         assert!(!events.iter().any(|event| matches!(event, Event::Restarted { .. })), "{events:?}");
     }
     // The robot itself says it: an older session is not answered any more.
-    let mut responder = Tdma::new(&Config { session: 9, ..of(1) }).unwrap();
-    let (now, anew) = frames(6, 1).remove(3);
+    let mut responder = responder();
+    let (now, anew) = four_to(1, 6).remove(3);
     responder.handle_heard(now, now, &anew);
     assert!(responder.poll_transmit(now).is_some());
     responder.handle_heard(now, now, &honest[3].1);
     assert!(responder.poll_transmit(now).is_none() && responder.counts().replayed == 1);
-}
-
-/// Frames of robot 0 to all others, in order: when each was sent, to whom, and its bytes.
-fn sent_by_the_first(configs: &[Config], count: usize) -> Vec<(Instant, Mac, Vec<u8>)> {
-    let mut tdma = Tdma::new(&configs[0]).unwrap();
-    std::iter::from_fn(|| {
-        let now = tdma.poll_timeout()?;
-        Some(tdma.poll_transmit(now).map(|sent| (now, sent.peer, sent.frame.to_vec())))
-    })
-    .flatten()
-    .take(count)
-    .collect()
-}
-
-/// Three robots with files of their own, of which the first initiates.
-fn three_with_keys() -> Vec<Config> {
-    let configs = everybody(3, request(true));
-    let macs: Vec<Mac> = configs.iter().map(|config| config.own.mac).collect();
-    let with_key = |(k, config): (usize, Config)| {
-        let peers: Vec<Mac> = macs.iter().copied().filter(|mac| *mac != macs[k]).collect();
-        Config { key: Some(Key::new([1; 16]).for_robot(macs[k], &peers)), session: 5, initiate: k == 0, ..config }
-    };
-    configs.into_iter().enumerate().map(with_key).collect()
 }
 
 /// A frame that was lost here, and is played later, is new; what was heard after it is not.
@@ -1281,13 +1078,9 @@ fn answers_in_their_slots_are_heard_whatever_was_said_of_numbers() {
 
 #[test]
 fn taped_answers_to_others_are_not_heard_again() {
-    let key = Some(Key::new([1; 16]));
-    let configs: Vec<Config> = everybody(3, request(true))
-        .into_iter()
-        .map(|config| Config { key: key.clone(), session: 9, ..config })
-        .collect();
+    let configs = three_with_keys();
     let (older, now) = (exchanges(&configs, 4, 1), exchanges(&configs, 5, 3));
-    let mut listener = Tdma::new(&Config { initiate: false, ..configs[2].clone() }).unwrap();
+    let mut listener = Tdma::new(&configs[2]).unwrap();
     let mut replayed = |(at, frames): (Instant, &[&Vec<u8>])| {
         let before = listener.counts().replayed;
         frames.iter().for_each(|frame| listener.handle_heard(at, at, frame));
@@ -1299,33 +1092,4 @@ fn taped_answers_to_others_are_not_heard_again() {
     let last = now[2].0;
     assert_eq!(replayed((last, &[&now[0].2, &now[1].2])), 2, "answers to frames before the last");
     assert_eq!(replayed((last, &[&older[0].2])), 1, "an answer to a frame of an older session");
-}
-
-#[test]
-fn an_answer_that_comes_again_is_no_pair() {
-    let configs = everybody(2, Request { dialect: request(false).dialect, ..one_link() });
-    let mut initiator = Tdma::new(&configs[0]).unwrap();
-    let mut responder = Tdma::new(&Config { initiate: false, ..configs[1].clone() }).unwrap();
-    let now = initiator.poll_timeout().unwrap();
-    let forward = initiator.poll_transmit(now).unwrap().frame.to_vec();
-    responder.handle_heard(now, now, &forward);
-    let answer = responder.poll_transmit(now).unwrap().frame.to_vec();
-    for unmatched in 0..3 {
-        initiator.handle_heard(now, now, &answer);
-        assert_eq!((initiator.counts().answered, initiator.counts().unmatched), (1, unmatched));
-    }
-}
-
-#[test]
-fn without_a_key_answers_to_others_are_not_told_apart_by_their_age() {
-    let configs = everybody(3, request(false));
-    let (older, now) = (exchanges(&configs, 4, 1), exchanges(&configs, 5, 3));
-    let mut listener = Tdma::new(&Config { initiate: false, ..configs[2].clone() }).unwrap();
-    for (at, forward, answer) in now.iter().chain(&older) {
-        listener.handle_heard(*at, *at, forward);
-        listener.handle_heard(*at, *at, answer);
-    }
-    assert_eq!(listener.counts().replayed, 0, "a forged session could use up all to come");
-    listener.handle_heard(older[0].0, older[0].0, &older[0].1);
-    assert_eq!(listener.counts().replayed, 1, "the very repetition of the last forward frame");
 }

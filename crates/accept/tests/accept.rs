@@ -83,6 +83,21 @@ const OF_CARD: [(CardFault, &[&str]); 30] = [
     (CardFault::Deaf, &["phase.cancels", "reception.antennas", "reception.snr"]),
 ];
 
+/// Each other fault of the near robot: its name, what is added to the scene, and the claims that fail.
+const OF_ROBOT: [(&str, &str, &[&str]); 6] = [
+    ("driver drops one in 20 at random", "faults.driver_drop = 0.05", &["reception.gaps"]),
+    ("frames reported twice", "faults.duplicate = 0.2", &["reception.once"]),
+    ("a quarter lost on the air", "faults.loss = 0.25", &["exchange.pairs"]),
+    (
+        "listener stalls",
+        "faults = { queue_records = 30, stall_every_s = 3.0, stall_s = 0.5 }",
+        &["host.buffer", "reception.gaps"],
+    ),
+    // Its numbers restart.
+    ("card restarts", "faults = { restart_at_s = [7.0], restart_s = 0.5 }", &["card.clock", "exchange.pairs"]),
+    ("host clock 160 ppm fast", "host_clock.drift_ppm = 160.0", &["card.rate"]),
+];
+
 fn of_card((fault, fails): (CardFault, &'static [&'static str])) -> Fault {
     let near = format!("faults.card = [\"{}\"]", fault.name());
     let on = match fault {
@@ -109,26 +124,9 @@ fn desk(name: &str) -> Fault {
 
 fn all() -> Vec<Fault> {
     let mut all: Vec<Fault> = OF_CARD.map(of_card).into();
+    let of_robot = |(name, near, fails): (&str, &str, _)| Fault { near: near.into(), fails, ..desk(name) };
+    all.extend(OF_ROBOT.map(of_robot));
     all.extend([
-        Fault {
-            near: "faults.driver_drop = 0.05".into(),
-            fails: &["reception.gaps"],
-            ..desk("driver drops one in 20 at random")
-        },
-        Fault { near: "faults.duplicate = 0.2".into(), fails: &["reception.once"], ..desk("frames reported twice") },
-        Fault { near: "faults.loss = 0.25".into(), fails: &["exchange.pairs"], ..desk("a quarter lost on the air") },
-        Fault {
-            near: "faults = { queue_records = 30, stall_every_s = 3.0, stall_s = 0.5 }".into(),
-            fails: &["host.buffer", "reception.gaps"],
-            ..desk("listener stalls")
-        },
-        Fault {
-            near: "faults = { restart_at_s = [7.0], restart_s = 0.5 }".into(),
-            // Its numbers restart.
-            fails: &["card.clock", "exchange.pairs"],
-            ..desk("card restarts")
-        },
-        Fault { near: "host_clock.drift_ppm = 160.0".into(), fails: &["card.rate"], ..desk("host clock 160 ppm fast") },
         Fault { more: "cfo = \"off\"", fails: &["phase.crystal"], ..desk("carrier not from the clock's crystal") },
         Fault {
             radio: "turn_around = { spread_us = 20.0, tail = 0.2, tail_us = 3000.0, max_us = 9000.0 }",
@@ -194,7 +192,7 @@ fn report(fault: &Fault) -> Report {
         }
         Desk::After(done) => standing(1, 25.0, &[(done, &fault.near)]),
         Desk::Unplugged(told, falls) => unplugged(1, 25.0, told, falls),
-        Desk::Sending(way) => sent_at(1, 25.0, [&fault.near, fault.far], way),
+        Desk::Sending(way) => sent(1, 25.0, [&fault.near, fault.far], way),
         Desk::Flags(flags) => flagged(Some(flags)),
     }
 }
@@ -280,7 +278,7 @@ fn healthy_desks_of_a_busy_person_raise_no_alarm() {
         let reports = [
             standing(seed, snr, &[(Done::Retuned, ""), (Done::Reloaded, "")]),
             unplugged(seed, snr, antenna, Some(antenna)),
-            sent_at(seed, snr, [""; 2], at_once),
+            sent(seed, snr, [""; 2], at_once),
         ];
         for report in &reports {
             tried += report.findings.len() - report.count(Verdict::NotTried);
@@ -423,13 +421,9 @@ impl Injector for Driver {
     }
 }
 
-/// The near robot sends through its interface; the far robot's driver answers frames of the length that the suite sends.
-fn sent(far: &str, way: Way) -> Report {
-    sent_at(1, 25.0, ["", far], way)
-}
-
-/// The same with another seed, another signal to noise, and what is added to either robot.
-fn sent_at(seed: u64, snr_db: f64, [near, far]: [&str; 2], way: Way) -> Report {
+/// The near robot sends through its interface; the far robot's driver answers frames of the length that the suite sends. `near` and
+/// `far` are added to the robots.
+fn sent(seed: u64, snr_db: f64, [near, far]: [&str; 2], way: Way) -> Report {
     let text = format!(
         "seed = {seed}\nduration_s = 20.0\ncfo = \"physical\"\n[radio]\nnoise.snr_db = {snr_db:?}\ndelay_ns = 200.0\nphase_noise_rad = 0.1\nturn_around.spread_us = 15.0\n\
          [[robot]]\nname = \"near\"\ncrystal = {{ offset_ppm = -2.0 }}\n{near}\n\
@@ -457,7 +451,7 @@ fn at_once(now: Instant) -> Option<Instant> {
 
 #[test]
 fn sent_frames_are_heard_and_answered() {
-    let report = sent("", at_once);
+    let report = sent(1, 25.0, [""; 2], at_once);
     assert!(failed(&report).is_empty(), "{report}");
     for id in [
         "injection.taken",
@@ -473,23 +467,18 @@ fn sent_frames_are_heard_and_answered() {
     ] {
         assert_eq!(finding(&report, id).verdict, Verdict::Holds, "{id}\n{report}");
     }
-}
-
-#[test]
-fn renumbered_frames_are_noticed() {
-    let renumbered = sent("faults.card = [\"other_sender\"]", at_once);
-    assert!(failed(&renumbered).contains("injection.heard"), "{renumbered}");
-}
-
-#[test]
-fn the_air_that_frames_use_is_that_of_the_standard() {
-    let report = sent("", at_once);
     let pace = finding(&report, "injection.pace");
     let figure = |name: &str| pace.figures.iter().find(|figure| figure.name == name).unwrap().value;
     // HT20 MCS 0: 36 us of preamble, then 57 bytes in 19 symbols of 4 us.
     assert_eq!(figure("air time of a frame"), 112.0, "{pace:?}");
     let percent = figure("air used at the fastest");
     assert!((percent - 11.2).abs() < 0.3 && pace.found.contains("% of the air"), "{percent} {pace:?}");
+}
+
+#[test]
+fn renumbered_frames_are_noticed() {
+    let renumbered = sent(1, 25.0, ["", "faults.card = [\"other_sender\"]"], at_once);
+    assert!(failed(&renumbered).contains("injection.heard"), "{renumbered}");
 }
 
 /// The report of an interface whose channel has these flags.

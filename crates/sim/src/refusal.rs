@@ -559,7 +559,6 @@ to_m = [5.0, 3.0]
 3 | noise_free | reflections = 1 | noise_free = true
 1 | duration_s is -1; it must be from 0.000000001 to 31536000 | duration_s = 10.0\nseed | duration_s = -1.0\nseed
 1 | to 31536000 | duration_s = 10.0\nseed | duration_s = 1e12\nseed
-2 | from 0 to 1000000000 | seed = 3 | radio.host_latency_std_us = 1e18
 12 | tx: rate_hz is 1000000000000; it must be from 0.000000001 to 100000 | name = "tx" | name = "tx"\nodometry.rate_hz = 1e12
 2 | channels are | seed = 3 | channel = 20
 9 | radius_m is -0.3 | radius_m = 0.3, | radius_m = -0.3,
@@ -582,21 +581,14 @@ to_m = [5.0, 3.0]
 12 | to 86400 | name = "tx" | name = "tx"\nmotion.random_walk = { speed_m_s = 1.0, duration_s = 1e9 }
 12 | an antenna of tx is where one of rx is | motion.circle = { radius_m = 0.3, duration_s = 10.0 } | antenna_m = [-3.858, 0.929, 0.2] | name = "tx" | name = "tx"\nantenna_m = [0.0, 0.0, 0.2]
 15 | where the wall begins | to_m = [5.0, 3.0] | to_m = [-5.0, 3.0]
-15 | from -1000000000 to 1000000000 | to_m = [5.0, 3.0] | to_m = [1e308, 3.0]
 16 | top_m is inf; it must be from -1000000000 | to_m = [5.0, 3.0] | to_m = [5.0, 3.0]\ntop_m = inf
-9 | turns is inf | radius_m = 0.3, | radius_m = 0.3, turns = inf,
-2 | from 0 to 1000000000 | seed = 3 | radio.turn_around.max_us = 1e300
-18 | to 1000000000 | to_m = [5.0, 3.0] | to_m = [5.0, 3.0]\n[[reflector]]\ncorner_m = [9.0, 9.0, 0.0]\nedge_a_m = [1e308, 0.0, 0.0]\nedge_b_m = [0.0, 0.0, 1.0]
-12 | from 0 to 1000000000 | name = "tx" | name = "tx"\nodometry.noise_m = 1e300
 9 | from 0.000000001 to | duration_s = 10.0 } | duration_s = 1e-300 }
-2 | from -400 to 400 | seed = 3 | radio.noise = { floor_dbm = 1e300 }
-2 | from -1000000000 to | seed = 3 | radio.delay_ns = 1e300
 2 | share is 2; it must be from 0 to 1 | seed = 3 | radio.send_delay = { share = 2.0 }
-2 | us is -1 | seed = 3 | radio.send_delay = { us = -1.0 }
 2 | length 2 | seed = 3 | radio.filter_db = [0.0, 1.0]
 12 | cos_db is 70; it must be from -60 to 60 | name = "tx" | name = "tx"\npattern = { cos_db = 70.0 }
 9 | stray_m is -0.1 | circle = { radius_m = 0.3, duration_s = 10.0 } | recorded = { file = "t", stray_m = -0.1 }
-# What is missing.
+# What is missing, and what is too much.
+5 | do not fit | [cfo.paper] | [sounding]\nrate_hz = 90000.0\n[cfo.paper]
 5 | rate_hz is -5 | [cfo.paper] | [sounding]\nrate_hz = -5.0\n[cfo.paper]
 5 | no robot "me" | [cfo.paper] | [sounding]\ninitiators = ["me"]\n[cfo.paper]
 5 | names "rx" twice | [cfo.paper] | [sounding]\ninitiators = ["rx", "tx", "rx"]\n[cfo.paper]
@@ -605,7 +597,7 @@ to_m = [5.0, 3.0]
     #[test]
     fn bad_scenes_are_refused_with_line_and_reason() {
         let cases = BAD.lines().filter(|case| !case.is_empty() && !case.starts_with('#'));
-        assert_eq!(cases.clone().count(), 42);
+        assert_eq!(cases.clone().count(), 34);
         for case in cases {
             let columns: Vec<String> = case.split(" | ").map(|column| column.replace("\\n", "\n")).collect();
             let (changes, []) = columns[2..].as_chunks::<2>() else { panic!("{case}") };

@@ -115,7 +115,7 @@ pub(crate) enum FrameRole {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Port, Room, SceneError};
+    use crate::{Port, Room};
     use csi5300::source::{CsiSource, Next};
     use driver_iface::bfee::Bfee;
     use std::collections::{BTreeMap, BTreeSet};
@@ -206,28 +206,6 @@ mod tests {
             }
         }
         assert!(room.injected().iter().all(|injected| injected.collided == 0));
-    }
-
-    #[test]
-    fn thirty_two_robots_run_at_the_highest_rate_that_fits() {
-        let scene = scene(32, 2.0, "rate_hz = inf", "radio.mcs = 1");
-        let mut room = Room::new(&scene).unwrap();
-        let mut card = room.card(0).unwrap();
-        let heard = numbers(&mut card);
-        assert_eq!(heard.len(), 31);
-        let pairs: usize = heard.values().map(Vec::len).sum();
-        let rounds = heard.values().map(Vec::len).min().unwrap();
-        assert!(rounds * 31 + 31 >= pairs && rounds > 80, "{rounds} rounds");
-        let refused = scene_text_of_32().unwrap_err();
-        assert!(refused.to_string().contains("do not fit") && refused.line() == Some(4), "{refused}");
-    }
-
-    fn scene_text_of_32() -> Result<Scene, SceneError> {
-        let mut text = "duration_s = 2.0\n\n[sounding]\nrate_hz = 100\n".to_owned();
-        for robot in 0..33 {
-            text += &format!("[[robot]]\nname = \"r{robot}\"\nposition_m = [{robot}.0, 0.0, 0.0]\n");
-        }
-        Scene::from_toml(&text)
     }
 
     #[test]

@@ -135,35 +135,23 @@ fn again(bytes: &[u8]) -> (Vec<u8>, usize) {
 }
 
 #[test]
-fn the_papers_simulated_captures_survive_our_encoder() {
+fn the_papers_captures_survive_our_encoder() {
     let Some(captures) = crate::common::captures() else { return };
-    for shape in ["circle", "line"] {
+    let runs = [
+        ("circle", ["sim_30cm_1", "real_10cm_1", "real_20cm_2", "real_30cm_2"]),
+        ("line", ["sim_30cm_1", "real_10cm_2", "real_20cm_1", "real_30cm_3"]),
+    ];
+    for (shape, run) in runs.into_iter().flat_map(|(shape, runs)| runs.map(|run| (shape, run))) {
         for end in ["rx", "tx"] {
-            let path = captures.join("paper").join(shape).join(format!("csi_{end}_sim_30cm_1.dat"));
-            let bytes = std::fs::read(&path).unwrap();
+            let name = format!("csi_{end}_{run}.dat");
+            let bytes = std::fs::read(captures.join("paper").join(shape).join(&name)).unwrap();
             let (written, records) = again(&bytes);
-            assert_eq!(records, 1_000, "{}", path.display());
-            assert!(written == bytes, "{} differs after reading and writing", path.display());
-        }
-    }
-}
-
-#[test]
-fn the_papers_real_captures_survive_it_too() {
-    let Some(captures) = crate::common::captures() else { return };
-    let mut files = 0;
-    for (shape, runs) in [("circle", ["10cm_1", "20cm_2", "30cm_2"]), ("line", ["10cm_2", "20cm_1", "30cm_3"])] {
-        for (run, end) in runs.into_iter().flat_map(|run| [(run, "rx"), (run, "tx")]) {
-            let name = format!("csi_{end}_real_{run}.dat");
-            let path = captures.join("paper").join(shape).join(&name);
-            let bytes = std::fs::read(&path).unwrap();
-            let (written, records) = again(&bytes);
-            assert!(records > 2_500 && bytes.len() - written.len() < 233, "{name}: {records} records");
             assert!(bytes.starts_with(&written), "{name} differs after reading and writing");
-            files += 1;
+            // The real ones end in a cut record.
+            let (least, cut) = if run.starts_with("sim") { (1_000, 0) } else { (2_501, 232) };
+            assert!(records >= least && bytes.len() - written.len() <= cut, "{name}: {records} records");
         }
     }
-    assert_eq!(files, 12);
 }
 
 /// Number and host time of a bfee.

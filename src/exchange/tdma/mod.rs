@@ -656,7 +656,6 @@ mod tests {
     }
 
     const OPEN: Dialect = Dialect::Native { measurement: true, authenticated: false };
-    const KEYED: Dialect = Dialect::Native { measurement: true, authenticated: true };
     const WSR: Dialect = Dialect::Wsr { first_len: 57 };
 
     #[test]
@@ -702,15 +701,6 @@ mod tests {
         assert_eq!(fault(WSR, |config| config.peers[2].index = 3), None);
         assert_eq!(fault(WSR, |config| config.peers[2].index = 4), Some(PlanError::Index { index: 4, links: 3 }));
         assert_eq!(fault(OPEN, |config| config.peers[2].index = 4), None);
-    }
-
-    #[test]
-    fn a_key_goes_with_tags() {
-        let key = || Some(Key::new([7; 16]));
-        assert_eq!(fault(KEYED, |config| config.key = key()), None);
-        assert_eq!(fault(KEYED, |_| ()), Some(PlanError::Key));
-        assert_eq!(fault(OPEN, |config| config.key = key()), Some(PlanError::Key));
-        assert_eq!(fault(WSR, |config| config.key = key()), Some(PlanError::Key));
     }
 
     #[test]

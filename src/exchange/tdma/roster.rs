@@ -396,16 +396,6 @@ mod tests {
     }
 
     #[test]
-    fn an_absent_robot_is_asked_in_every_eighth_round_unless_nobody_listens() {
-        for (open_loop, asked) in [(false, 100), (true, 800)] {
-            let mut roster = roster(1, &[2]);
-            roster.peers[0].unanswered_in_a_row = ABSENT_AFTER;
-            let due = (0..800).filter(|_| roster.due(0, false, open_loop).is_some()).count();
-            assert!((asked..=asked + 1).contains(&due), "{due} of {asked}");
-        }
-    }
-
-    #[test]
     fn frames_that_wait_are_bounded_and_can_be_taken_back() {
         let mut outstanding = Outstanding::new();
         let at = |us: u32| Instant::from_us(i64::from(us));

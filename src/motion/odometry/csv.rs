@@ -1382,9 +1382,31 @@ mod tests {
         (0..50).map(pose).collect()
     }
 
-    /// A file of [`arc`] below `head`, each row by `row`.
-    fn written(head: &str, row: impl Fn([f64; 5]) -> String) -> String {
-        head.to_owned() + &arc().into_iter().map(|pose| row(pose) + "\n").collect::<String>()
+    /// A file of [`arc`] below `head`: `row` of each pose, in which names in braces stand for its numbers.
+    fn written(head: &str, row: &str) -> String {
+        let row = |[t, x, y, z, yaw]: [f64; 5]| {
+            let (s, c) = (0.5 * yaw).sin_cos();
+            let run_s = t - 1_700_000_000.0;
+            let (sec, nsec) = (t.floor(), ((t - t.floor()) * 100.0).round() as u64 * 10_000_000);
+            let lengths = [("", 1.0), ("_cm", 1e2), ("_mm", 1e3)].into_iter().flat_map(|(unit, by)| {
+                [("x", x), ("y", y), ("z", z), ("-y", -y), ("-z", -z)]
+                    .map(|(name, metres)| (format!("{name}{unit}"), (metres * by).to_string()))
+            });
+            let (sin, cos) = yaw.sin_cos();
+            let angles = [("yaw", yaw), ("deg", yaw.to_degrees()), ("s", s), ("c", c), ("sin", sin), ("cos", cos)];
+            let numbers = [("-sin", -sin), ("sec", sec), ("ms", t * 1e3)].into_iter().chain(angles);
+            let times = [
+                ("t", format!("{t:.6}")),
+                ("run", format!("{run_s:.6}")),
+                ("exponent", format!("{run_s:e}")),
+                ("nsec", nsec.to_string()),
+                ("ns", format!("{sec}{nsec:09}")),
+            ];
+            let numbers = numbers.map(|(name, number)| (name, number.to_string())).chain(times);
+            let all = numbers.map(|(name, number)| (name.to_owned(), number)).chain(lengths);
+            all.fold(row.to_owned(), |row, (name, number)| row.replace(&format!("{{{name}}}"), &number)) + "\n"
+        };
+        head.to_owned() + &arc().into_iter().map(row).collect::<String>()
     }
 
     /// What a file of [`arc`] must give: its poses, with the heading if `heading`; times may be of a run that begins at 0.
@@ -1409,42 +1431,16 @@ mod tests {
         counts
     }
 
-    fn quaternion(yaw: f64) -> (f64, f64) {
-        (0.5 * yaw).sin_cos()
-    }
+    const FIVE: &str = "{t},0,{x},{y},{z}";
+    const W_FIRST: &str = "{t} {x} {y} {z} {c} 0 0 {s}";
 
     #[test]
     fn twenty_kinds_of_files_give_the_same_path() {
-        let seconds = |t: f64| (t.floor(), ((t - t.floor()) * 100.0).round() as u64 * 10_000_000);
-        let ns = |t: f64| {
-            let (s, ns) = seconds(t);
-            format!("{s}{ns:09}")
-        };
-        let five = |[t, x, y, z, _]: [f64; 5]| format!("{t:.6},0,{x},{y},{z}");
-        let tum = |[t, x, y, z, yaw]: [f64; 5]| {
-            let (s, c) = quaternion(yaw);
-            format!("{t:.6} {x} {y} {z} 0 0 {s} {c}")
-        };
-        let wxyz = |[t, x, y, z, yaw]: [f64; 5]| {
-            let (s, c) = quaternion(yaw);
-            format!("{t:.6} {x} {y} {z} {c} 0 0 {s}")
-        };
-        let euroc = |[t, x, y, z, yaw]: [f64; 5]| {
-            let (s, c) = quaternion(yaw);
-            format!("{},{x},{y},{z},{c},0,0,{s},0.1,0.2,0.3,0,0,0,0,0,0", ns(t))
-        };
-        let odometry = |[t, x, y, z, yaw]: [f64; 5]| {
-            let ((sec, nsec), (s, c)) = (seconds(t), quaternion(yaw));
-            format!("{sec},{nsec},odom,base_link,{x},{y},{z},0.0,0.0,{s},{c},{}0.1", "0.0,".repeat(77))
-        };
-        let stamped = |[t, x, y, z, yaw]: [f64; 5]| {
-            let ((sec, nsec), (s, c)) = (seconds(t), quaternion(yaw));
-            format!("{sec},{nsec},map,{x},{y},{z},0.0,0.0,{s},{c}")
-        };
-        let echoed = |[t, x, y, z, yaw]: [f64; 5]| {
-            let (s, c) = quaternion(yaw);
-            format!("{},7,{},map,{x},{y},{z},0.0,0.0,{s},{c}", ns(t + 0.5), ns(t))
-        };
+        let stamped = "{sec},{nsec},map,{x},{y},{z},0.0,0.0,{s},{c}";
+        let one = "{sec},{nsec},odom,base_link,{x},{y},{z},0.0,0.0,{s},{c}";
+        let odometry = format!("{one},{}0.1", "0.0,".repeat(77));
+        let with_covariance = format!("{stamped}{}", ",0.0".repeat(36));
+        let echoed = "9,7,{ns},map,{x},{y},{z},0.0,0.0,{s},{c}";
         let pose = "pose.position.x,field.pose.position.y,field.pose.position.z,field.pose.orientation.x,field.pose.orientation.y,\
                 field.pose.orientation.z,field.pose.orientation.w";
         let stamp = "%time,field.header.seq,field.header.stamp,field.header.frame_id";
@@ -1453,93 +1449,42 @@ mod tests {
                      field.transforms0.transform.rotation.y,field.transforms0.transform.rotation.z,\
                      field.transforms0.transform.rotation.w";
         let ros = |names: &str| format!("{stamp},{names}\n");
-        let files: Vec<(&str, bool, String)> = vec![
-            ("five columns", false, written("", five)),
-            (
-                "headings",
-                true,
-                written("timestamp,x,y,z,yaw\n", |[t, x, y, z, yaw]| format!("{t:.6},{x},{y},{z},{yaw}")),
-            ),
-            (
-                "speeds",
-                true,
-                written("t,x,y,yaw,v,w,z\n", |[t, x, y, z, yaw]| format!("{t:.6},{x},{y},{yaw},0.2,0.1,{z}")),
-            ),
-            (
-                "degrees",
-                true,
-                written("seconds,nanoseconds,x,y,z,yaw_deg\n", |[t, x, y, z, yaw]| {
-                    format!("{t:.6},0,{x},{y},{z},{}", yaw.to_degrees())
-                }),
-            ),
-            (
-                "units of their own",
-                true,
-                written("Time [ms];Pos X (mm);Pos Y (mm);Pos Z (mm);Yaw (\u{b0})\n", |[t, x, y, z, yaw]| {
-                    let numbers = [t * 1e3, x * 1e3, y * 1e3, z * 1e3, yaw.to_degrees()];
-                    numbers.map(|number| format!("{number:.6}").replace('.', ",")).join(";")
-                }),
-            ),
-            ("a line of units", false, written("time,ns,x,y,z\n[s],[ns],[m],[m],[m]\n", five)),
-            (
-                "a line of other units",
-                false,
-                written("time,ns,x,y,z\ns,ns,cm,cm,cm\n", |[t, x, y, z, _]| {
-                    format!("{t:.6},0,{},{},{}", x * 1e2, y * 1e2, z * 1e2)
-                }),
-            ),
-            ("a title", false, written("Robot 1 trajectory\ntime,ns,x,y,z\n", five)),
-            ("a tail", false, written("", five) + "   \n,,,,\n;;;\n"),
-            ("TUM", true, written("# timestamp tx ty tz qx qy qz qw\n", tum)),
-            ("SVIn", true, written("# timestamp tx ty tz qw qx qy qz\n", wxyz)),
-            (
-                "EuRoC",
-                true,
-                written(
-                    "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],v_RS_R_x [m s^-1],\
+        let ros_odometry = ros(&format!("field.pose.{}", pose.replace("field.", "field.pose.")));
+        let euroc = "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],v_RS_R_x [m s^-1],\
              v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],b_w_RS_S_x [rad s^-1],b_w_RS_S_y [rad s^-1],b_w_RS_S_z [rad s^-1],\
-             b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]\n",
-                    euroc,
-                ),
-            ),
-            ("rostopic, pose", true, written(&ros(&format!("field.{pose}")), echoed)),
-            (
-                "rostopic, odometry",
-                true,
-                written(&ros(&format!("field.pose.{}", pose.replace("field.", "field.pose."))), echoed),
-            ),
-            (
-                "rostopic, TF",
-                true,
-                written(&ros(transform).replace("field.header", "field.transforms0.header"), echoed),
-            ),
-            ("rostopic, transform", true, written(&ros(&transform.replace("transforms0.", "")), echoed)),
-            ("ros2, odometry", true, written("", odometry)),
-            ("ros2, pose", true, written("", stamped)),
-            ("ros2, pose with covariance", true, written("", |pose| stamped(pose) + &",0.0".repeat(36))),
-            (
-                "ros2, TF",
-                true,
-                written("", |pose| {
-                    let one = odometry(pose).split(',').take(11).collect::<Vec<_>>().join(",");
-                    // Some messages have another transform, too.
-                    if pose[4] > 0.5 { one } else { format!("{one},{one}") }
-                }),
-            ),
-            (
-                "pandas",
-                true,
-                written(",stamp.sec,stamp.nanosec,x,y,z,theta\n", |[t, x, y, z, yaw]| {
-                    let (sec, nsec) = seconds(t);
-                    format!("3,{sec},{nsec},{x},{y},{z},{yaw}")
-                }),
-            ),
-            (
-                "nanoseconds",
-                true,
-                written("t_ns\tpx\tpy\tpz\theading\n", |[t, x, y, z, yaw]| format!("{}\t{x}\t{y}\t{z}\t{yaw}", ns(t))),
-            ),
+             b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]\n";
+        let kinds: [(&str, &str, &str); 18] = [
+            ("five columns", "", FIVE),
+            ("headings", "timestamp,x,y,z,yaw\n", "{t},{x},{y},{z},{yaw}"),
+            ("speeds", "t,x,y,yaw,v,w,z\n", "{t},{x},{y},{yaw},0.2,0.1,{z}"),
+            ("degrees", "seconds,nanoseconds,x,y,z,yaw_deg\n", "{t},0,{x},{y},{z},{deg}"),
+            ("a line of units", "time,ns,x,y,z\n[s],[ns],[m],[m],[m]\n", FIVE),
+            ("a title", "Robot 1 trajectory\ntime,ns,x,y,z\n", FIVE),
+            ("TUM", "# timestamp tx ty tz qx qy qz qw\n", "{t} {x} {y} {z} 0 0 {s} {c}"),
+            ("SVIn", "# timestamp tx ty tz qw qx qy qz\n", W_FIRST),
+            ("EuRoC", euroc, "{ns},{x},{y},{z},{c},0,0,{s},0.1,0.2,0.3,0,0,0,0,0,0"),
+            ("rostopic, pose", &ros(&format!("field.{pose}")), echoed),
+            ("rostopic, odometry", &ros_odometry, echoed),
+            ("rostopic, TF", &ros(transform).replace("field.header", "field.transforms0.header"), echoed),
+            ("rostopic, transform", &ros(&transform.replace("transforms0.", "")), echoed),
+            ("ros2, odometry", "", &odometry),
+            ("ros2, pose", "", stamped),
+            ("ros2, pose with covariance", "", &with_covariance),
+            ("pandas", ",stamp.sec,stamp.nanosec,x,y,z,theta\n", "3,{sec},{nsec},{x},{y},{z},{yaw}"),
+            ("nanoseconds", "t_ns\tpx\tpy\tpz\theading\n", "{ns}\t{x}\t{y}\t{z}\t{yaw}"),
         ];
+        let mut files: Vec<(&str, bool, String)> =
+            kinds.map(|(name, head, row)| (name, row != FIVE, written(head, row))).into();
+        let own =
+            written("Time [ms];Pos X (mm);Pos Y (mm);Pos Z (mm);Yaw (\u{b0})\n", "{ms};{x_mm};{y_mm};{z_mm};{deg}");
+        files.push(("units of their own", true, own.replace('.', ",")));
+        let cm = written("time,ns,x,y,z\ns,ns,cm,cm,cm\n", "{t},0,{x_cm},{y_cm},{z_cm}");
+        files.push(("a line of other units", false, cm));
+        files.push(("a tail", false, written("", FIVE) + "   \n,,,,\n;;;\n"));
+        // Some messages have another transform, too.
+        let tf = written("", &format!("{one},{one}"));
+        let tf = tf.lines().enumerate().map(|(k, row)| if k > 25 { &row[..row.len() / 2] } else { row });
+        files.push(("ros2, TF", true, tf.map(|row| format!("{row}\n")).collect()));
         for (name, heading, text) in &files {
             must_be_arc(name, parse(text.as_bytes()), *heading, 1_700_000_000.0);
             // As Windows writes it, twice one behind the other, and as 16 bits a letter.
@@ -1553,27 +1498,25 @@ mod tests {
 
     #[test]
     fn times_of_day_names_of_robots_and_of_maps_are_read() {
-        let date = |t: f64, hour: u32, zone: &str| {
-            let s = t - 1_700_000_000.0 + 20.0;
-            format!("2023-11-14T{hour}:13:{s:09.6}{zone}")
-        };
         for (name, hour, zone) in [("UTC", 22, "Z"), ("no zone", 22, ""), ("east", 23, "+01:00"), ("west", 17, "-0500")]
         {
-            let rows = written("time,x,y,z\n", |[t, x, y, z, _]| format!("{},{x},{y},{z}", date(t, hour, zone)));
+            let date = |[t, x, y, z, _]: [f64; 5]| {
+                let s = t - 1_700_000_000.0 + 20.0;
+                format!("2023-11-14T{hour}:13:{s:09.6}{zone},{x},{y},{z}\n")
+            };
+            let rows = "time,x,y,z\n".to_owned() + &arc().into_iter().map(date).collect::<String>();
             must_be_arc(name, parse(rows.as_bytes()), false, 1_700_000_000.0);
             let rows = rows.replace('T', " ");
             must_be_arc(name, parse(rows.as_bytes()), false, 1_700_000_000.0);
         }
-        let robots = |name: &'static str| {
-            written("robot,t,east,north,up\n", |[t, x, y, z, _]| format!("{name},{t:.6},{x},{y},{z}"))
-        };
+        let robots = |name: &str| written("robot,t,east,north,up\n", &format!("{name},{{t}},{{x}},{{y}},{{z}}"));
         must_be_arc("robot", parse(robots("rx").as_bytes()), false, 1_700_000_000.0);
         let two = robots("rx") + &robots("tx");
         assert!(
             matches!(parse(two.as_bytes()), Err(CsvError::Refused(why)) if why.contains("among those of")),
             "two robots"
         );
-        let inches = written("t,x [in],y [in]\n", |[t, x, y, ..]| format!("{t:.6},{x},{y}"));
+        let inches = written("t,x [in],y [in]\n", "{t},{x},{y}");
         let error = parse(inches.as_bytes()).unwrap_err().to_string();
         assert!(error.contains("the unit of `x [in]` is not known"), "{error}");
     }
@@ -1607,12 +1550,8 @@ mod tests {
             names(8, "Robot"),
             names(8, "1")
         );
-        let row = |[t, x, y, z, yaw]: [f64; 5]| {
-            let (s, c) = quaternion(yaw);
-            // x, up, towards the one who looks
-            format!("7,{:.6},0,{s},0,{c},{},{},{},0.1", t - 1_700_000_000.0, x * 1e3, z * 1e3, -y * 1e3)
-        };
-        let text = written(&head, row);
+        // x, up, towards the one who looks
+        let text = written(&head, "7,{run},0,{s},0,{c},{x_mm},{z_mm},{-y_mm},0.1");
         let motive = parse(text.as_bytes());
         assert_eq!(motive.as_ref().unwrap().0.kind(), TrajectoryKind::MotionCapture);
         must_be_arc("Motive", motive, true, 0.0);
@@ -1620,21 +1559,17 @@ mod tests {
         let two = text.replacen(",Robot,Robot", ",Robot,Other", 1);
         let error = parse(two.as_bytes()).unwrap_err().to_string();
         assert!(error.contains("rigid bodies (Robot, Other, Robot): export one"), "{error}");
-        let z_up = written(&head, |[t, x, y, z, yaw]| row([t, x, -z, y, yaw]));
+        let z_up = written(&head, "7,{run},0,{s},0,{c},{x_mm},{y_mm},{z_mm},0.1");
         let Err(CsvError::Ambiguous { readings, .. }) = parse(z_up.as_bytes()) else { panic!() };
         assert_eq!(readings, ["_,t,qx,qz,-qy,qw,x_mm,z_mm,-y_mm", "_,t,qx,qy,qz,qw,x_mm,y_mm,z_mm"]);
         // KITTI: x right, y down, z forward, and the times in a file beside.
         let folder = std::env::temp_dir().join(format!("csi5300-kitti-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        let kitti = written("", |[_, x, y, z, yaw]| {
-            let (s, c) = yaw.sin_cos();
-            format!("{c} 0 {} {} 0 1 0 {} {s} 0 {c} {x}", -s, -y, -z)
-        });
+        let kitti = written("", "{cos} 0 {-sin} {-y} 0 1 0 {-z} {sin} 0 {cos} {x}");
         std::fs::write(folder.join("00.txt"), &kitti).unwrap();
         let error = read(&folder.join("00.txt")).unwrap_err().to_string();
         assert!(error.contains("KITTI") && error.contains("times.txt"), "{error}");
-        std::fs::write(folder.join("times.txt"), written("# s\n", |[t, ..]| format!("{:e}", t - 1_700_000_000.0)))
-            .unwrap();
+        std::fs::write(folder.join("times.txt"), written("# s\n", "{exponent}")).unwrap();
         must_be_arc("KITTI", read(&folder.join("00.txt")), true, 0.0);
         std::fs::write(folder.join("00_times.txt"), "1\n2\n").unwrap();
         let error = read(&folder.join("00.txt")).unwrap_err().to_string();
@@ -1665,41 +1600,27 @@ mod tests {
 
     #[test]
     fn what_may_mean_two_things_is_refused_and_named_columns_decide() {
-        let wxyz = |[t, x, y, z, yaw]: [f64; 5]| {
-            let (s, c) = quaternion(yaw);
-            format!("{t:.6} {x} {y} {z} {c} 0 0 {s}")
-        };
-        let cases: [(&str, String, &str, bool); 6] = [
-            ("yaw last", written("", |[t, x, y, z, yaw]| format!("{t:.6},{x},{y},{z},{yaw}")), "t,x,y,z,yaw", true),
-            ("speeds", written("", |[t, x, y, z, yaw]| format!("{t:.6},{x},{y},{yaw},{z},0.1")), "t,x,y,yaw,z", true),
-            ("w first", written("", wxyz), "t,x,y,z,qw,qx,qy,qz", true),
-            (
-                "degrees",
-                written("", |[t, x, y, z, yaw]| format!("{t:.6},0,{x},{y},{z},{}", yaw.to_degrees())),
-                "t,_,x,y,z,yaw_deg",
-                true,
-            ),
-            (
-                "degrees, headed",
-                written("t,x,y,z,yaw\n", |[t, x, y, z, yaw]| format!("{t:.6},{x},{y},{z},{}", yaw.to_degrees())),
-                "t,x,y,z,yaw_deg",
-                true,
-            ),
-            ("four", written("", |[t, x, y, z, _]| format!("{t:.6},{x},{y},{z}")), "t,x,y,z", false),
-        ];
-        for (name, text, columns, heading) in &cases {
+        for (name, head, row, columns) in [
+            ("yaw last", "", "{t},{x},{y},{z},{yaw}", "t,x,y,z,yaw"),
+            ("speeds", "", "{t},{x},{y},{yaw},{z},0.1", "t,x,y,yaw,z"),
+            ("w first", "", W_FIRST, "t,x,y,z,qw,qx,qy,qz"),
+            ("degrees", "", "{t},0,{x},{y},{z},{deg}", "t,_,x,y,z,yaw_deg"),
+            ("degrees, headed", "t,x,y,z,yaw\n", "{t},{x},{y},{z},{deg}", "t,x,y,z,yaw_deg"),
+            ("four", "", "{t},{x},{y},{z}", "t,x,y,z"),
+        ] {
+            let text = written(head, row);
             let error = parse(text.as_bytes()).expect_err(name);
             assert!(matches!(error, CsvError::Ambiguous { .. } | CsvError::Refused(_)), "{name}: {error}");
             assert!(error.to_string().contains("--columns"), "{name}: {error}");
             if let CsvError::Ambiguous { readings, .. } = &error {
                 assert!(readings.iter().all(|reading| reading.parse::<Columns>().is_ok()), "{readings:?}");
                 assert!(
-                    readings.iter().any(|reading| columns.starts_with(reading)) || *columns == "t,_,x,y,z,yaw_deg",
+                    readings.iter().any(|reading| columns.starts_with(reading)) || columns == "t,_,x,y,z,yaw_deg",
                     "{readings:?}"
                 );
             }
             let columns: Columns = columns.parse().unwrap();
-            must_be_arc(name, parse_as(text.as_bytes(), Some(&columns)), *heading, 1_700_000_000.0);
+            must_be_arc(name, parse_as(text.as_bytes(), Some(&columns)), name != "four", 1_700_000_000.0);
         }
         for (text, why) in [
             ("when,east,north,x,y\n1.5,1,2,3,4\n2.5,1,2,3,5\n", "the headings name no time"),

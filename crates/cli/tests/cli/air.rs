@@ -394,18 +394,8 @@ fn programs_sound_each_other_in_a_served_room() {
 
 #[test]
 fn sounding_without_a_trajectory_is_not_all_done_and_without_answers_it_is_if_none_are_wanted() {
-    let folder = Folder::new("live-loops");
-    folder.write("scene.toml", LIVE.as_bytes());
-    let socket = folder.0.join("room");
-    let (rx, tx) = (format!("{}#rx", socket.display()), format!("{}#tx", socket.display()));
-    let mut room = Program::start(&[
-        "simulate",
-        folder.0.join("scene.toml").to_str().unwrap(),
-        "--serve",
-        "--socket",
-        socket.to_str().unwrap(),
-    ]);
-    room.until("serving the room at");
+    let Served { folder, room } = Served::new("live-loops", LIVE);
+    let [rx, tx] = ["rx", "tx"].map(|robot| format!("{}#{robot}", folder.0.join("room").display()));
     let slow = ["--rate", "50", "--turn-around", "6000", "--guard", "1500", "--no-fifo"];
     let mut respond =
         Program::start(&[&["sound", "--answer", "--room", &tx, "--peers", "02:00:00:00:00:0a"], &slow[..]].concat());

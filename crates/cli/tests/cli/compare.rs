@@ -37,9 +37,6 @@ const MISSED: [Missed; 3] = [
     ("link", "turn-around, quartile range", 6.5),
 ];
 
-/// Figures that a scene fitted to a simulated one misses.
-const MISSED_AGAIN: [Missed; 0] = [];
-
 /// By how many times what is allowed a figure is missed.
 fn ratio(row: &FigureRow) -> f64 {
     let (Some(recorded), Some(simulated)) = (row.recorded, row.simulated) else { return f64::INFINITY };
@@ -72,17 +69,11 @@ fn differences(
     text
 }
 
-/// Checks tables against what may be missed; gives what is.
-fn check_only(tables: &[(String, Vec<FigureRow>)], missed: &[Missed]) -> BTreeSet<(&'static str, String)> {
+/// Checks tables against what may be missed, and that nothing may be missed that is not.
+fn check(tables: &[(String, Vec<FigureRow>)], missed: &[Missed]) {
     let mut seen = BTreeSet::new();
     let differences: String = tables.iter().map(|(name, table)| differences(name, table, missed, &mut seen)).collect();
     assert!(differences.is_empty(), "\n{differences}");
-    seen
-}
-
-/// Checks tables against what may be missed, and that nothing may be missed that is not.
-fn check(tables: &[(String, Vec<FigureRow>)], missed: &[Missed]) {
-    let seen = check_only(tables, missed);
     let is_never = |(of, figure, most): &&Missed| *most > EDGE && !seen.contains(&(*of, (*figure).to_owned()));
     let never: Vec<_> = missed.iter().filter(is_never).collect();
     assert!(never.is_empty(), "these agree, and need not be missed: {never:?}");
@@ -168,7 +159,7 @@ fn lab(duration_s: f64) -> Scene {
 #[test]
 fn a_fit_finds_a_simulated_scene_again() {
     let Refitted { recorded, tables, .. } = refitted(&lab(29.0), "again", true, &options());
-    check(&tables, &MISSED_AGAIN);
+    check(&tables, &[]);
     assert!((recorded.link.df_hz + 3.0 * 5_540.0).abs() < 400.0, "3 ppm of 5.54 GHz, not {}", recorded.link.df_hz);
     let late = recorded.link.groups[0];
     // The scene says 8 % early by 110 +- 45 us; those within 25 us count to the core, those beyond 160 to the next.
@@ -180,7 +171,7 @@ fn a_fit_finds_the_stock_layout_again() {
     let scene = Scene { driver: Driver::Stock, ..lab(15.0) };
     let Refitted { recorded, fitted, tables } = refitted(&scene, "stock", true, &options());
     assert_eq!((recorded.receiver.stock, fitted.scene.driver), (recorded.receiver.records, Driver::Stock));
-    check_only(&tables, &MISSED_AGAIN);
+    check(&tables, &[]);
     // A record of a frame that the driver copied before it: no MAC, no number, no time in it, and so 18 bytes less.
     assert_eq!(recorded.receiver.lengths.keys().copied().collect::<Vec<_>>(), [215]);
 }
@@ -193,7 +184,7 @@ fn a_fit_finds_40_mhz_again() {
     let Refitted { recorded, fitted, tables } = refitted(&scene, "wide", true, &wide);
     assert_eq!((fitted.scene.bandwidth_mhz, fitted.scene.channel), (40, 110));
     assert_eq!(recorded.receiver.rates.keys().copied().collect::<Vec<_>>(), [0x900]);
-    check_only(&tables, &MISSED_AGAIN);
+    check(&tables, &[]);
     let error = fit(&recorded, &only(&path_of(&scene)), &options()).unwrap_err();
     assert!(error.to_string().contains("the records are 40 MHz wide"), "{error}");
 }
@@ -202,7 +193,7 @@ fn a_fit_finds_40_mhz_again() {
 fn a_fit_finds_the_transmitter_where_nobody_says_where_it_is() {
     let scene = lab(29.0);
     let Refitted { recorded, fitted, tables } = refitted(&scene, "found", false, &options());
-    check_only(&tables, &MISSED_AGAIN);
+    check(&tables, &[]);
     let [x, y, _] = fitted.scene.robot[1].position_m;
     let middle = csi5300_sim::Room::new(&scene).unwrap().antenna(0, 14.0).unwrap();
     let azimuth_deg = (y - middle.y).atan2(x - middle.x).to_degrees();

@@ -380,35 +380,15 @@ fn usage_and_plans_are_refused_with_what_would_do() {
     folder.says(&args, 2, &["do not fit", "try --rate 4"]);
     let one = "02:00:00:00:01:00";
     for (args, words) in [
-        (&["sound", "--answer", "--interface", "mon0", "--peers", one, "--dialect", "wsr"][..], "--ack-len"),
-        (&["sound", "--answer", "--interface", "mon0", "--peers", one, "--ack-len", "57"], "--dialect wsr"),
-        (
-            &["sound", "--answer", "--interface", "mon0", "--peers", one, "--dialect", "wsr", "--ack-len", "58"],
-            "two bytes more",
-        ),
-        (&["sound", "--interface", "mon0", "--peers", one, "--trajectory", "t.csv"], "--channel"),
-        (
-            &[
-                "sound",
-                "--interface",
-                "m",
-                "--peers",
-                one,
-                "--trajectory",
-                "t",
-                "--channel",
-                "64",
-                "--heading-sd",
-                "181",
-            ],
-            "0 to 180 degrees",
-        ),
-        (
-            &["sound", "--interface", "m", "--peers", one, "--dialect", "wsr", "--trajectory", "t", "--channel", "64"],
-            "measurements",
-        ),
+        ("--answer --interface mon0 --dialect wsr", "--ack-len"),
+        ("--answer --interface mon0 --ack-len 57", "--dialect wsr"),
+        ("--answer --interface mon0 --dialect wsr --ack-len 58", "two bytes more"),
+        ("--interface mon0 --trajectory t.csv", "--channel"),
+        ("--interface m --trajectory t --channel 64 --heading-sd 181", "0 to 180 degrees"),
+        ("--interface m --dialect wsr --trajectory t --channel 64", "measurements"),
     ] {
-        folder.says(args, 2, &[words]);
+        let args: Vec<&str> = ["sound", "--peers", one].into_iter().chain(args.split(' ')).collect();
+        folder.says(&args, 2, &[words]);
     }
     for ignored in ["--bearing-every=1s", "--stock", "--connector-index=26"] {
         folder.says(&["sound", "--interface", "m", "--peers", one, ignored], 2, &["--trajectory"]);

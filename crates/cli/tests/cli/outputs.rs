@@ -504,39 +504,26 @@ fn what_has_no_room_has_no_name_either() {
 }
 
 #[test]
-fn pictures_of_a_link_are_replaced_by_the_next_run() {
-    let folder = Folder::new("drawing-link");
+fn pictures_and_maps_are_replaced_by_the_next_run() {
+    let folder = Folder::new("drawing");
     folder.link(&link(300, 2.0));
-    folder.bearing_says(&["--plot", "p"], 0, &[]);
-    let all = names(&folder.0.join("p"));
-    for what in ["phase", "profile", "trajectory"] {
-        assert!(["png", "svg"].iter().all(|kind| all.contains(&format!("tx-{what}.{kind}"))), "{all:?}");
-    }
-    let first = std::fs::read(folder.0.join("p/tx-phase.svg")).unwrap();
-    folder.write("p/tx-phase.svg", b"old");
-    folder.bearing_says(&["--plot", "p"], 0, &[]);
-    assert_eq!((names(&folder.0.join("p")), std::fs::read(folder.0.join("p/tx-phase.svg")).unwrap()), (all, first));
-}
-
-#[test]
-fn pictures_and_maps_of_captures_are_replaced_by_the_next_run() {
-    let folder = Folder::new("drawing-tree");
     capture(&folder, "tree/A/good", &link(600, 2.0));
-    for _ in 0..2 {
-        let (out, _) = folder.says(&["evaluate", "tree", "--plot", "p"], 0, &[]);
-        assert!(out.contains("A/good/1/tx2"), "{out}");
-        for name in ["errors", "refusals", "reliability", "map-A_good_1"] {
-            let picture = folder.0.join(format!("p/{name}.svg"));
-            assert!(std::fs::read(&picture).unwrap().len() > 100, "{name}");
-            std::fs::write(picture, "old").unwrap();
-        }
-        folder.says(&["bearing", "tree", "--plot", "link"], 0, &[]);
-        let maps: Vec<String> =
-            names(&folder.0.join("link")).into_iter().filter(|name| name.starts_with("map-")).collect();
-        assert_eq!(maps.len(), 2, "{maps:?}");
-        for map in maps {
-            assert!(std::fs::read(folder.0.join("link").join(&map)).unwrap().len() > 100, "{map}");
-            folder.write(&format!("link/{map}"), b"old");
+    let named = ["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108"];
+    for (into, words, pictures) in [
+        ("link", &named[..], &["tx-phase", "tx-profile", "tx-trajectory"][..]),
+        ("all", &["evaluate", "tree"], &["errors", "refusals", "reliability", "map-A_good_1"]),
+        ("maps", &["bearing", "tree"], &["map-"]),
+    ] {
+        for _ in 0..2 {
+            folder.says(&[words, &["--plot", into]].concat(), 0, &[]);
+            let drawn = names(&folder.0.join(into));
+            for (picture, kind) in pictures.iter().flat_map(|picture| [(picture, ".png"), (picture, ".svg")]) {
+                let name = drawn.iter().find(|name| name.starts_with(picture) && name.ends_with(kind));
+                let name = name.unwrap_or_else(|| panic!("{into}: {picture}{kind}: {drawn:?}"));
+                let file = folder.0.join(into).join(name);
+                assert!(std::fs::read(&file).unwrap().len() > 100, "{into}: {name}");
+                std::fs::write(file, "old").unwrap();
+            }
         }
     }
 }

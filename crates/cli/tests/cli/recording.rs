@@ -108,25 +108,14 @@ fn a_signal_ends_the_log_whole() {
         assert_eq!(counts, (0..1_500).collect::<Vec<_>>());
         assert_eq!((tail, stamped), (Tail::Clean, 1_500));
     }
-}
-
-#[test]
-fn a_hangup_ends_no_recording_that_was_started_to_ignore_it() {
-    let Some(folder) =
-        Folder::inside(a_hangup_ends_no_recording_that_was_started_to_ignore_it, "-Urn", "recording-hangup")
-    else {
-        return;
-    };
-    let out = folder.0.join("log.dat");
-    let running = record_by("trap '' HUP; exec", &out, &[]);
+    // A recording that was started to ignore a hangup goes on: had it ended it, the rest would be missing.
+    let running = record_by("trap '' HUP; exec", &folder.0.join("log.dat"), &[]);
     let mut sender = Sender::open(CN_IDX, true).unwrap();
     send_gently(&mut sender, 0..100);
     running.signal(Signal::SIGHUP);
-    // Had the hangup come first, it would have ended the recording before these.
     send_gently(&mut sender, 100..1_500);
     let (status, said) = running.end_by(Signal::SIGTERM);
-    assert_eq!(status, Some(0), "{said}");
-    assert!(said.contains("1500 records written"), "{said}");
+    assert!(status == Some(0) && said.contains("1500 records written"), "{said}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Captures evaluated: the committed one, which the simulator reproduces byte by byte; one whose files were read once; real ones against the
+//! Captures evaluated: the committed one, which the simulator reproduces byte by byte; real ones against the
 //! truth; and logs of different runs, which are refused.
 //!
 //! The bounds of real captures are the errors of the released WSR toolbox on the same links, or well below. This is not a held-out test:
@@ -11,7 +11,7 @@ use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
 use csi5300_lab::evaluate::quality::ranges;
 use csi5300_lab::evaluate::receivers::receivers;
-use csi5300_lab::evaluate::{Capture, Errors, Evaluated, Judged, TrajectorySource, find};
+use csi5300_lab::evaluate::{Capture, Errors, Judged, TrajectorySource, find};
 use csi5300_sim::{Room, Scene, Simulation, write_dataset};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -53,49 +53,6 @@ fn the_small_circle_gives_its_scenes_bearing() {
     // The two crystals are 2 ppm apart.
     assert!((row.answer.cfo_hz.unwrap().abs() - 2e-6 * 5.54e9).abs() < 500.0, "{row:?}");
     assert_eq!(row.answer.receiver_records.handed, 281);
-}
-
-const STAMP: &str = "2023-11-14_221320";
-
-/// The small circle, with damage in the transmitter's log and a bad row in the trajectory, in a folder of its own.
-fn damaged(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).unwrap();
-    for entry in std::fs::read_dir(fixtures().join("small-circle")).unwrap() {
-        let path = entry.unwrap().path();
-        std::fs::copy(&path, folder.join(path.file_name().unwrap())).unwrap();
-    }
-    let log = folder.join(format!("csi_tx1_{STAMP}.dat"));
-    let mut bytes = std::fs::read(&log).unwrap();
-    bytes[10_000..10_300].fill(0xff);
-    std::fs::write(&log, bytes).unwrap();
-    let path = folder.join(format!("rx_trajectory_{STAMP}_.csv"));
-    let rows = std::fs::read_to_string(&path).unwrap().replacen('\n', "\nno,numbers,in,this,row,\n", 1);
-    std::fs::write(&path, rows).unwrap();
-    folder
-}
-
-fn cut_options(to_s: f64) -> Options {
-    Options { to_s: Some(to_s), ..options() }
-}
-
-fn words(evaluated: &Evaluated) -> (String, Vec<String>, bool) {
-    (serde_json::to_string(&evaluated.rows).unwrap(), evaluated.notes.clone(), evaluated.lost)
-}
-
-fn only(folder: &Path) -> Capture {
-    let (captures, _) = find(folder);
-    captures.into_iter().next().unwrap()
-}
-
-#[test]
-fn missing_files_are_reported_with_the_reason() {
-    let folder = damaged("missing");
-    std::fs::remove_file(folder.join(format!("csi_rx_{STAMP}.dat"))).unwrap();
-    let capture = only(&folder);
-    let own = words(&capture.evaluate(TrajectorySource::GroundTruth, None, &cut_options(2.0)));
-    assert!(own.0.contains("csi_rx_") && own.2, "{own:?}");
 }
 
 /// The links of the WSR data set, evaluated once for all tests with motion capture.

@@ -1,5 +1,4 @@
-//! One simulated link whose ends may both move, compared with its truth and the Cramer-Rao bound: for these tests, a bench and
-//! `research`.
+//! One simulated link whose ends may both move, compared with its truth and the Cramer-Rao bound: for these tests and `research`.
 #![allow(dead_code)] // each uses a part
 
 use csi5300::maths::wrap_rad;

@@ -1,16 +1,15 @@
 //! The pipeline finds exactly the faults that the room injects: counts are equal.
 
 use csi5300::exchange::pairing::{LinkSide, SideCounts};
-use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
+use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{CaptureReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use csi5300_lab::compare::figures::true_path;
-use csi5300_sim::{Injected, Room, Scene, write_dataset};
+use csi5300_sim::{Injected, Room, Scene};
 use driver_iface::bfee::Bfee;
 
 fn options() -> Options {
@@ -250,28 +249,4 @@ fn a_gap_of_the_trajectory_is_no_sign_of_exchanged_logs() {
     let mut report = bearings(&mut rx, transmitters, &path, &options()).unwrap();
     let pairs = report.links.remove(0).bearing.unwrap().pairs;
     assert!(pairs.no_pose > pairs.formed / 10 && !pairs.may_be_exchanged(), "{pairs:?}");
-}
-
-#[test]
-fn a_killed_loggers_log_lacks_its_tail() {
-    let folder = std::env::temp_dir().join(format!("csi5300-faults-{}", std::process::id()));
-    let mut room = Room::new(&scene(1, "faults = { killed = true, loss = 0.1 }", "faults.killed = true")).unwrap();
-    let captures = write_dataset(&mut room, &folder, &mut |_| {}).unwrap();
-    let path = captures[0].dir.join(format!("rx_trajectory_{}_.csv", captures[0].stamp));
-    let (trajectory, _) = csv::read(&path).unwrap();
-    let mut logs: Vec<Replay<_>> = captures[0].logs.iter().map(|log| Replay::open(&log.path).unwrap()).collect();
-    let (rx, tx) = logs.split_at_mut(1);
-    let transmitters = vec![Transmitter { log: &mut tx[0], trajectory: None }];
-    let report = bearings(&mut rx[0], transmitters, &trajectory, &options()).unwrap();
-    std::fs::remove_dir_all(&folder).unwrap();
-    let injected = room.injected();
-    for (log, injected) in [(&report.receiver, injected[0]), (&report.transmitters[0], injected[1])] {
-        assert_eq!(log.survey.bfees() + injected.tail_records, injected.delivered);
-        let cut = match log.survey.tail {
-            Some(driver_iface::record::Tail::Cut { bytes, .. }) => bytes,
-            _ => 0,
-        };
-        assert_eq!(cut, injected.tail_bytes);
-        assert!(injected.tail_records > 0);
-    }
 }

@@ -1067,14 +1067,6 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_scene_is_named_once_with_the_known_ones() {
-        let nowhere = refused(&ROOM.replace("lab-circle", "nosuch"));
-        let words =
-            "line 2: there is no file nosuch, and no built-in scene of that name: paper-circle, paper-line, lab-circle";
-        assert!(nowhere.starts_with(words), "{nowhere}");
-    }
-
-    #[test]
     fn another_kind_of_file_is_one_problem_and_syntax_errors_are_few() {
         let other = refused("root:x:0:0:root\nbin:x:1:1:bin\nsys:x:2:2:sys\n");
         assert!(other.lines().count() == 1 && other.contains("no configuration in TOML"), "{other}");

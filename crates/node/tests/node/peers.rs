@@ -157,22 +157,6 @@ fn last(reports: impl Iterator<Item = serde_json::Value>, peers: usize) -> Vec<s
     last
 }
 
-#[test]
-fn two_processes_make_a_bearing() {
-    let folder = folder("peers-2");
-    let (logs, path, scene) = capture(&folder, 2);
-    in_time(&SPEEDS, |speed| {
-        let at = (free_port(), speed);
-        let mut own = Node::start(&folder, "r0", &driver(&folder, &logs, &path, at));
-        let reports = own.reports_when_it_listens();
-        let other = Node::start(&folder, "r1", &publisher(&folder, &logs[1], at));
-        is_close(&last(reports, 1)[0], truth_deg(&scene, 1))?;
-        own.end();
-        other.end();
-        Ok(())
-    });
-}
-
 /// Certificates of the authority in `folder` for one robot on this machine, as the packaged script makes them. False
 /// (said on standard error) without openssl.
 fn certificates(folder: &Path, name: &str) -> bool {

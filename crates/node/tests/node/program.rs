@@ -27,6 +27,27 @@ fn said(output: Output) -> (i32, String, String) {
     (output.status.code().expect("no signal"), words(output.stdout), words(output.stderr))
 }
 
+/// Runs the node of a configuration to its end.
+fn run(folder: &Path, config: &str) -> (i32, String, String) {
+    std::fs::write(folder.join("robot.toml"), config).unwrap();
+    said(program(folder).args(["node", "--config", "robot.toml"]).output().unwrap())
+}
+
+/// The same on a disk that takes files of a few KiB.
+fn run_limited(folder: &Path, config: &str) -> (i32, String, String) {
+    std::fs::write(folder.join("robot.toml"), config).unwrap();
+    let mut command = Command::new("sh");
+    let limited = "ulimit -f 8; exec \"$0\" node --config robot.toml";
+    command.args(["-c", limited, env!("CARGO_BIN_EXE_csi5300-node")]).current_dir(folder);
+    said(command.output().unwrap())
+}
+
+/// Starts the node of a configuration.
+fn started(folder: &Path, config: &str) -> Running {
+    std::fs::write(folder.join("robot.toml"), config).unwrap();
+    Running(program(folder).args(["node", "--config", "robot.toml"]).spawn().unwrap())
+}
+
 const ROOM: &str = "name = \"alpha\"\nchannel = \"108\"\ncapture.room = { scene = \"lab-circle\", robot = \"rx\", speed = 40 }\n\
                     odometry.room = {}\n[[peer]]\nname = \"tx\"\nrecords.room = {}\n";
 
@@ -158,8 +179,7 @@ fn a_simulated_robot_runs_to_its_end_with_its_log_and_its_bearings() {
     for (log, rotate) in
         [("own.dat", ""), ("own-r1-0001.dat", "rotate_mib = 100\n"), ("own-r2-0001.dat", "rotate_mib = 100\n")]
     {
-        std::fs::write(folder.join("robot.toml"), format!("{text}{rotate}")).unwrap();
-        let (status, out, err) = said(program(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());
+        let (status, out, err) = run(&folder, &format!("{text}{rotate}"));
         // At forty times real time a busy machine writes lines late: that is status 3.
         assert!(matches!(status, 0 | 3) && out.is_empty(), "{status} {err}");
         assert!(err.contains("tx: bearing") && err.contains("records/s"), "{err}");
@@ -205,8 +225,7 @@ fn what_a_replay_lacks_is_in_its_words_and_its_status() {
     let config = replayed(&folder);
     let run = |from: &str, to: &str| {
         assert!(config.contains(from));
-        std::fs::write(folder.join("robot.toml"), config.replace(from, to)).unwrap();
-        said(program(&folder).args(["node", "--config", "robot.toml"]).output().unwrap())
+        run(&folder, &config.replace(from, to))
     };
     let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).unwrap();
     // A robot whose sources cannot be opened leaves no file.
@@ -232,11 +251,7 @@ fn what_a_replay_lacks_is_in_its_words_and_its_status() {
 #[test]
 fn a_full_disk_leaves_whole_lines_of_bearings() {
     let folder = folder("node-full");
-    std::fs::write(folder.join("robot.toml"), format!("{ROOM}[output]\nbearings = \"bearings.jsonl\"\n")).unwrap();
-    let mut command = Command::new("sh");
-    let limited = "ulimit -f 8; exec \"$0\" node --config robot.toml";
-    command.args(["-c", limited, env!("CARGO_BIN_EXE_csi5300-node")]).current_dir(&folder);
-    let (status, _, err) = said(command.output().unwrap());
+    let (status, _, err) = run_limited(&folder, &format!("{ROOM}[output]\nbearings = \"bearings.jsonl\"\n"));
     assert!(status == 3 && err.contains("bearings are not written (File too large"), "{status} {err}");
     let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
     assert!(lines.ends_with("}\n") && lines.lines().count() > 1, "{lines}");
@@ -247,11 +262,7 @@ fn a_full_disk_leaves_whole_lines_of_bearings() {
 fn a_recording_that_ended_early_is_a_loss() {
     let folder = folder("node-full-bag");
     let bag = "[output]\nbearings = \"\"\n[ros2]\ndomain = 142\nbag = \"run\"\n";
-    std::fs::write(folder.join("robot.toml"), format!("{ROOM}{bag}")).unwrap();
-    let mut command = Command::new("sh");
-    let limited = "ulimit -f 8; exec \"$0\" node --config robot.toml";
-    command.args(["-c", limited, env!("CARGO_BIN_EXE_csi5300-node")]).current_dir(&folder);
-    let (status, _, err) = said(command.output().unwrap());
+    let (status, _, err) = run_limited(&folder, &format!("{ROOM}{bag}"));
     assert!(status == 3 && err.contains("messages missing in the recording"), "{status} {err}");
     assert_eq!(err.matches("the recording of ROS 2 ended: File too large").count(), 1, "{err}");
 }
@@ -276,8 +287,7 @@ fn the_state_is_served_on_a_socket_and_a_signal_ends_the_robot_in_order() {
         endless_room(&folder, "speed = 1"),
         folder.display()
     );
-    std::fs::write(folder.join("robot.toml"), text).unwrap();
-    let mut node = Running(program(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
+    let mut node = started(&folder, &text);
     let look = || said(program(&folder).args(["watch", "s"]).output().unwrap());
     // The socket appears when the robot is up.
     let state = loop {
@@ -320,8 +330,7 @@ fn the_log_of_a_robot_that_was_killed_can_be_read() {
         endless_room(&folder, "speed = 4"),
         folder.display()
     );
-    std::fs::write(folder.join("robot.toml"), text).unwrap();
-    let mut node = Running(program(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
+    let mut node = started(&folder, &text);
     while std::fs::metadata(folder.join("own.dat")).map_or(0, |log| log.len()) < 20_000 {
         assert!(node.0.try_wait().unwrap().is_none(), "the robot ended by itself");
         std::thread::yield_now();
@@ -413,32 +422,22 @@ fn a_signal_gives_the_terminal_back_as_it_was() {
 }
 
 #[test]
-fn a_line_without_an_end_is_given_up() {
-    let folder = folder("watch-endless");
-    let socket = folder.join("status.sock");
-    let node = UnixListener::bind(&socket).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
-    command.args(["watch", "--once"]).arg(&socket).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let child = command.spawn().unwrap();
-    let mut state = node.accept().unwrap().0;
-    // Until nobody reads any more.
-    while state.write_all(&[b'a'; 1 << 16]).is_ok() {}
-    let output = child.wait_with_output().unwrap();
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.code() == Some(1) && said.contains("more than 16 MiB") && output.stdout.is_empty(), "{said}");
-}
-
-#[test]
-fn half_a_state_is_no_state() {
+fn half_a_state_and_a_line_without_an_end_are_no_state() {
     let folder = folder("watch-half");
-    let socket = folder.join("status.sock");
-    let node = UnixListener::bind(&socket).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
-    command.arg("watch").arg(&socket).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let child = command.spawn().unwrap();
-    node.accept().unwrap().0.write_all(b"{\"name\":\"burger\",\"peers\":[").unwrap();
-    let (status, out, err) = said(child.wait_with_output().unwrap());
-    assert!(status == 1 && out.is_empty() && err.contains("ended before it sent its state"), "{status} {out} {err}");
+    let half = |state: &mut UnixStream| state.write_all(b"{\"name\":\"burger\",\"peers\":[").unwrap();
+    // Until nobody reads any more.
+    let endless = |state: &mut UnixStream| while state.write_all(&[b'a'; 1 << 16]).is_ok() {};
+    let cases: [(&str, &[&str], &dyn Fn(&mut UnixStream), &str); 2] = [
+        ("half", &["watch"], &half, "ended before it sent its state"),
+        ("endless", &["watch", "--once"], &endless, "more than 16 MiB"),
+    ];
+    for (name, args, send, words) in cases {
+        let node = UnixListener::bind(folder.join(name)).unwrap();
+        let child = program(&folder).args(args).arg(name).spawn().unwrap();
+        send(&mut node.accept().unwrap().0);
+        let (status, out, err) = said(child.wait_with_output().unwrap());
+        assert!(status == 1 && out.is_empty() && err.contains(words), "{name}: {status} {out} {err}");
+    }
 }
 
 /// As when an SSH session or a pane goes: by a hangup where it is the program's own terminal, and where that does not reach the
