@@ -81,16 +81,26 @@ impl<'a> Ways<'a> {
 
     /// The share of the samples' power that a wave from a place explains.
     pub fn explained(self, samples: &Samples, place: &Place) -> f64 {
-        let kappa = samples.kappa();
-        let turned: Vec<Complex64> = samples
-            .z()
-            .iter()
-            .zip(self.each(place.ways_m()))
-            .map(|(z, way_m)| z * Complex64::cis(kappa * way_m))
-            .collect();
+        let turned = self.turned(samples, place);
         let sum: f64 = self.parts().map(|part| turned[part].iter().sum::<Complex64>().norm()).sum();
         let full: f64 = samples.z().iter().map(|z| z.norm()).sum();
         (sum / full).powi(2)
+    }
+
+    /// What a wave from a place leaves of the samples' phases, about the mean of each part, radians.
+    pub fn residuals_rad(self, samples: &Samples, place: &Place) -> Vec<f64> {
+        let turned = self.turned(samples, place);
+        let about_mean = |part: Range<usize>| {
+            let mean: Complex64 = turned[part.clone()].iter().sum();
+            turned[part].iter().map(move |z| (z * mean.conj()).arg()).collect::<Vec<f64>>()
+        };
+        self.parts().flat_map(about_mean).collect()
+    }
+
+    /// The samples without the phases of the ways from a place.
+    fn turned(self, samples: &Samples, place: &Place) -> Vec<Complex64> {
+        let ways_m = self.each(place.ways_m());
+        samples.z().iter().zip(ways_m).map(|(z, way_m)| z * Complex64::cis(samples.kappa() * way_m)).collect()
     }
 }
 

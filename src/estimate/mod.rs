@@ -106,12 +106,13 @@ pub(crate) struct Task<'a> {
     pub one_way: bool,
     pub tier: Tier,
     /// Of an array whose robot drives: where it is meanwhile.
-    pub drive: Option<&'a Drive>,
+    pub drive: Option<&'a MovingArray>,
 }
 
 /// An array on a robot that drives: its samples hold the way to an end of a baseline less the way to its foot, and what both have in
 /// common as the robot drives tells the range.
-pub(crate) struct Drive {
+#[derive(Clone, Debug)]
+pub(crate) struct MovingArray {
     /// Ends and feet of the baselines at each sample about the middle of the feet, metres.
     pub ends_m: Vec<Vector3<f64>>,
     pub feet_m: Vec<Vector3<f64>>,
@@ -119,7 +120,7 @@ pub(crate) struct Drive {
     pub parts: Vec<usize>,
 }
 
-impl Drive {
+impl MovingArray {
     /// Whether the directions from all places are one, as far as the samples of baselines this long can tell; they reach `more_m`
     /// beyond these places.
     pub fn is_short(places_m: &[Vector3<f64>], (longest_m, more_m): (f64, f64), wavelength_m: f64) -> bool {
@@ -127,7 +128,7 @@ impl Drive {
         TAU * longest_m * parallax_rad < wavelength_m * SAME_DIRECTION_RAD
     }
 
-    fn ways(&self) -> Ways<'_> {
+    pub fn ways(&self) -> Ways<'_> {
         Ways { points: &self.ends_m, feet: &self.feet_m, ends: &self.parts }
     }
 
@@ -310,7 +311,7 @@ impl Model {
         points: &[Vector3<f64>],
         samples: &Samples,
         limits: &Limits,
-        drive: Option<&Drive>,
+        drive: Option<&MovingArray>,
         (reach, signed): (Reach, bool),
     ) -> Self {
         let flat = |p: &Vector3<f64>| if signed { *p } else { Vector3::new(p.x, p.y, 0.0) };
@@ -324,7 +325,7 @@ impl Model {
 }
 
 /// The density of a search over these points.
-fn steps(points: &[Vector3<f64>], samples: &Samples, drive: Option<&Drive>, prior: &Prior) -> Steps {
+fn steps(points: &[Vector3<f64>], samples: &Samples, drive: Option<&MovingArray>, prior: &Prior) -> Steps {
     let path_m: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
     let windows = (path_m / tuning::COHERENT_M).ceil().max(1.0) as usize;
     let widest = points.chunks(points.len().div_ceil(windows).max(1)).map(radius_m).fold(0.0, f64::max);
@@ -382,7 +383,7 @@ pub(crate) fn estimate(
         .iter()
         .map(|&signed| Model::new(&points, samples, &task.limits, task.drive, (reach, signed)).with_line(task))
         .collect();
-    let probe = task.drive.map(Drive::probe_m);
+    let probe = task.drive.map(MovingArray::probe_m);
     let bins = Bins::along(probe.as_ref().unwrap_or(&models[0].points), samples.wavelength_m());
     let means = bins.means(samples, &points);
     let mut searcher = Searcher::new(task.tier);
@@ -487,7 +488,7 @@ fn bend(modes: &mut [Mode], points: &[Vector3<f64>], bend_rad: f64) {
     }
 }
 
-impl Drive {
+impl MovingArray {
     fn field(&self, task: &Task<'_>, bins: &Bins, apertures: &[Aperture]) -> Field {
         let [ends, feet] = [&self.ends_m, &self.feet_m].map(|points| bins.points_m(points));
         let arms: Vec<Vector3<f64>> = ends.iter().zip(&feet).map(|(end, foot)| end - foot).collect();

@@ -3,9 +3,9 @@
 
 use super::one_log::ChainConstant;
 use crate::bartlett::{self, Estimate, Grid, Method, Planner, ProfileOptions};
-use crate::estimate::likelihood::Place;
+use crate::estimate::likelihood::{Place, Ways};
 use crate::estimate::posterior::Mode;
-use crate::estimate::{Found, NoRangeChange, OdometryFit, RangeChange, Sufficient, tuning};
+use crate::estimate::{Found, MovingArray, NoRangeChange, OdometryFit, RangeChange, Sufficient, tuning};
 use crate::maths::wrap_rad;
 use crate::place::{Evidence, EvidenceMode};
 use crate::signal::cfo::TurnAround;
@@ -276,6 +276,8 @@ pub struct Bearing {
     pub mean_position_m: Vector3<f64>,
     /// The receiver's position at the last sample used, metres.
     pub(super) end_m: Vector3<f64>,
+    /// Of one log: the drive that the estimate took into account.
+    pub(super) drive: Option<MovingArray>,
     /// Figures of merit of the plane wave's azimuth profile, as other programs define them.
     pub figures: ProfileFigures,
     /// The samples used.
@@ -312,6 +314,27 @@ impl Bearing {
             found,
             ..self.clone()
         }
+    }
+
+    /// Where the receiver was at each sample, metres; of one log of a robot that only turned, the end of its baseline.
+    #[doc(hidden)] // for the crates of this workspace
+    #[must_use]
+    pub fn used_m(&self) -> Vec<Vector3<f64>> {
+        let Some(drive) = &self.drive else { return self.samples.receiver_m().to_vec() };
+        let driven = drive.ends_m.iter().zip(&drive.feet_m).filter(|(end, foot)| end != foot);
+        driven.map(|(end, _)| end + self.mean_position_m).collect()
+    }
+
+    /// What the answer leaves of each sample's phase, about their mean, radians.
+    #[doc(hidden)] // for the crates of this workspace
+    #[must_use]
+    pub fn residuals_rad(&self) -> Vec<f64> {
+        let Some(best) = self.answer.candidates.first() else { return Vec::new() };
+        let elevation = best.signed_elevation_rad.unwrap_or(best.abs_elevation_rad);
+        let place = Place { azimuth: self.answer.azimuth_rad, elevation, curve: best.inverse_range_per_m };
+        let points: Vec<Vector3<f64>> = self.samples.displacements_m().map(|p| p - self.found.middle_m).collect();
+        let ways = self.drive.as_ref().map_or(Ways::to(&points), MovingArray::ways);
+        ways.residuals_rad(&self.samples, &place)
     }
 
     /// Azimuth relative to the robot's heading at the last sample used, radians. With a place

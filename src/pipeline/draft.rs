@@ -132,6 +132,7 @@ fn bearing_in(join: &LinkJoin<'_>, motion: Motion, options: &Options) -> Result<
         chain_constants: Vec::new(),
         pairs: gated.pairs,
         mean_position_m: sum / samples.len() as f64,
+        drive: None,
         end_m: samples.receiver_m().last().copied().unwrap_or_default(),
         density: if options.keep_course { found.density(DENSITY_AZIMUTHS) } else { Vec::new() },
         slope_sd_rad: found.slope_sd_rad,

@@ -12,7 +12,7 @@
 //! the samples go into the same estimate as those of two logs.
 //!
 //! Of a robot that only turns the wave front is assumed to be plane, so there is no range. One that drives sees the transmitter from
-//! several places: the ways to both antennas are then those of a spherical wave (`Drive`), which gives the range.
+//! several places: the ways to both antennas are then those of a spherical wave (`MovingArray`), which gives the range.
 //!
 //! A turn also gives `c` ([`ChainConstant`]). It holds until the firmware is loaded again. With a known `c`
 //! ([`Array::with_constants`]) a standing robot has a bearing too; two antennas leave its mirror across the baseline.
@@ -27,7 +27,7 @@ use super::options::{JoinBy, Options};
 use super::{LinkReport, LogReport};
 use crate::bartlett;
 use crate::estimate::likelihood::Place;
-use crate::estimate::{Drive, Found, Task, estimate, heading};
+use crate::estimate::{Found, MovingArray, Task, estimate, heading};
 use crate::maths::wrap_rad;
 use crate::motion::pose::{Trajectory, TrajectoryError};
 use crate::signal::channel::SUBCARRIERS;
@@ -537,7 +537,7 @@ struct Together {
     rows: Vec<(usize, usize)>,
     /// The rotation that removed each baseline's constant.
     turns: Vec<Complex64>,
-    drive: Option<Drive>,
+    drive: Option<MovingArray>,
 }
 
 /// The records of one sender on the turning robot.
@@ -604,7 +604,7 @@ impl Joined {
         // How far an antenna is from the tracked point, the turn moves it about there.
         let turns_m = if array.is_placed { longest_m } else { 0.0 };
         let drives = options.accuracy.near_field
-            && !Drive::is_short(&places_m, (longest_m, turns_m), options.channel.wavelength_m());
+            && !MovingArray::is_short(&places_m, (longest_m, turns_m), options.channel.wavelength_m());
         for own in &mut baselines {
             own.places_m.retain(|_| drives);
             own.places_m.iter_mut().for_each(|place| *place -= middle_m);
@@ -614,8 +614,8 @@ impl Joined {
 
     /// What tells the range, if the robot drives: after `anchors` samples at the origin those of all baselines. The phase of each is its
     /// own, unless it is known.
-    fn drive(&self, anchors: usize) -> Option<Drive> {
-        let mut drive = Drive {
+    fn drive(&self, anchors: usize) -> Option<MovingArray> {
+        let mut drive = MovingArray {
             ends_m: vec![Vector3::zeros(); anchors],
             feet_m: vec![Vector3::zeros(); anchors],
             parts: Vec::new(),
@@ -750,6 +750,12 @@ impl Joined {
             whole += ends.iter().map(|end| end.norm_squared()).sum::<f64>();
         }
         if apart > 0.0 { (ATTITUDE_SD_RAD.powi(2) * whole / apart).min(1.0) } else { 0.0 }
+    }
+
+    /// The way of the robot if it drives, else of the end of its first baseline, metres.
+    fn path_m(&self, trajectory: &Trajectory) -> Vec<Vector3<f64>> {
+        let (path, scale) = if self.drives { (trajectory, 1.0) } else { (&self.arm, self.length_m / GATE_ARM_M) };
+        path.poses().iter().map(|pose| pose.position_m * scale).collect()
     }
 
     /// Covariance that antennas `sd_m` away from where the trajectory says add to azimuth, elevation and 1 / range of the first mode, by
@@ -999,13 +1005,8 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
         slope_sd_rad: None,
         plane_wave: found.plane_wave.clone(),
         course: if keeps { course(sender, &times_s, &joined) } else { Vec::new() },
-        path_m: joined
-            .arm
-            .poses()
-            .iter()
-            .filter(|_| keeps)
-            .map(|pose| pose.position_m * (joined.length_m / GATE_ARM_M))
-            .collect(),
+        path_m: if keeps { joined.path_m(trajectory) } else { Vec::new() },
+        drive: together.drive.clone(),
         chain_constants: towards.filter(|_| *anchors == 0).map(|at| joined.constants(&at)).unwrap_or_default(),
         samples: samples.clone(),
         found,

@@ -3,8 +3,6 @@
 use csi5300::bartlett::{self, Grid};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::Bearing;
-use nalgebra::Vector3;
-use num_complex::Complex64;
 
 /// Azimuths of the plane wave's profile.
 const AZIMUTHS: usize = 1_440;
@@ -62,25 +60,9 @@ pub fn plane_wave(bearing: &Bearing) -> Result<Curve, bartlett::Error> {
 /// pair, radians); from the first sample if the course was not kept.
 #[must_use]
 pub fn without_motion(bearing: &Bearing) -> Vec<(f64, f64)> {
-    let Some(best) = bearing.answer.candidates.first() else { return Vec::new() };
-    let (samples, curve) = (&bearing.samples, best.inverse_range_per_m);
-    let elevation_rad = best.signed_elevation_rad.unwrap_or(best.abs_elevation_rad);
-    let u = bartlett::direction(bearing.answer.azimuth_rad, elevation_rad);
-    let at: Vec<Vector3<f64>> = samples.receiver_m().iter().zip(samples.transmitter_m()).map(|(r, t)| r - t).collect();
-    let middle = at.iter().sum::<Vector3<f64>>() / samples.len().max(1) as f64;
-    let turned = |(z, p): (&Complex64, &Vector3<f64>)| {
-        let offset = p - middle;
-        // The path to the answer minus that from the middle of the motion: u.p of a plane wave, curved by the range.
-        let nearer_m = match curve > 0.0 {
-            true => (u / curve).norm() - (u / curve - offset).norm(),
-            false => u.dot(&offset),
-        };
-        let turns = f64::from(samples.path_gain()) * nearer_m / samples.wavelength_m();
-        z * Complex64::cis(-std::f64::consts::TAU * turns)
-    };
-    let left: Vec<Complex64> = samples.z().iter().zip(&at).map(turned).collect();
-    let mean: Complex64 = left.iter().sum();
+    let samples = &bearing.samples;
     let first_s = samples.t_s().first().copied().unwrap_or_default();
     let begun_s = bearing.course.iter().find(|phase| phase.is_used).map_or(0.0, |phase| phase.t_s);
-    samples.t_s().iter().zip(&left).map(|(t_s, z)| (begun_s + t_s - first_s, (z * mean.conj()).arg())).collect()
+    let times_s = samples.t_s().iter().map(|t_s| begun_s + t_s - first_s);
+    times_s.zip(bearing.residuals_rad()).collect()
 }

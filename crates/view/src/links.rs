@@ -318,7 +318,7 @@ fn drawn(bearing: &Bearing) -> Value {
     json!({
         "curves": curves.collect::<Vec<_>>(),
         "path_m": xy(&bearing.path_m),
-        "used_m": xy(bearing.samples.receiver_m()),
+        "used_m": xy(&bearing.used_m()),
         "phases": {
             "t_s": course(|phase| phase.t_s),
             "one_way_rad": course(|phase| phase.one_way_rad),

@@ -2,6 +2,7 @@
 
 use super::track::{Track, Window, aligned, window};
 use super::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
+use crate::estimate::{COARSE_RAD, Effort};
 use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::exchange::pairing::by_clock;
@@ -463,7 +464,8 @@ impl PeerReport {
 impl Context<'_> {
     /// True if whole estimates are asked for.
     fn wants_whole(&self) -> bool {
-        self.options.accuracy.near_field
+        let is_coarse = matches!(self.options.accuracy.effort, Effort::Within(asked) if asked >= COARSE_RAD);
+        self.options.accuracy.near_field && !is_coarse
     }
 }
 

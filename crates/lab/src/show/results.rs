@@ -57,7 +57,7 @@ impl<'a> LinkPictures<'a> {
     fn trajectory(&self, name: &str) -> MapPlot {
         let answer = &self.bearing.answer;
         let drawn = |places: &[Vector3<f64>]| places.iter().map(|p| [p.x, p.y]).collect::<Vec<_>>();
-        let (path_m, used_m) = (drawn(&self.bearing.path_m), drawn(self.bearing.samples.receiver_m()));
+        let (path_m, used_m) = (drawn(&self.bearing.path_m), drawn(&self.bearing.used_m()));
         let mean = |k: usize| used_m.iter().map(|place| place[k]).sum::<f64>() / used_m.len().max(1) as f64;
         let origin_m = [mean(0), mean(1)];
         let away = |place: &[f64; 2]| (place[0] - origin_m[0]).hypot(place[1] - origin_m[1]);

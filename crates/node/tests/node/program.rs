@@ -427,7 +427,8 @@ fn half_a_state_and_a_line_without_an_end_are_no_state() {
     let half = |state: &mut UnixStream| state.write_all(b"{\"name\":\"burger\",\"peers\":[").unwrap();
     // Until nobody reads any more.
     let endless = |state: &mut UnixStream| while state.write_all(&[b'a'; 1 << 16]).is_ok() {};
-    let cases: [(&str, &[&str], &dyn Fn(&mut UnixStream), &str); 2] = [
+    type Case<'a> = (&'a str, &'a [&'a str], &'a dyn Fn(&mut UnixStream), &'a str);
+    let cases: [Case; 2] = [
         ("half", &["watch"], &half, "ended before it sent its state"),
         ("endless", &["watch", "--once"], &endless, "more than 16 MiB"),
     ];
