@@ -73,8 +73,7 @@ impl<'a> Ways<'a> {
 
     /// The samples of each part.
     pub fn parts(self) -> impl Iterator<Item = Range<usize>> {
-        let ends =
-            if self.ends.is_empty() { std::slice::from_ref(&self.points.len()).to_vec() } else { self.ends.to_vec() };
+        let ends = if self.ends.is_empty() { vec![self.points.len()] } else { self.ends.to_vec() };
         let starts = std::iter::once(0).chain(ends.clone());
         starts.zip(ends).map(|(from, to)| from..to)
     }

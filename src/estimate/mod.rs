@@ -109,8 +109,8 @@ pub(crate) struct Task<'a> {
     pub drive: Option<&'a MovingArray>,
 }
 
-/// An array on a robot that drives: its samples hold the way to an end of a baseline less the way to its foot, and what both have in
-/// common as the robot drives tells the range.
+/// An array on a robot that drives: a sample holds the way to the end of a baseline less the way to its foot. The direction changes
+/// along the drive, which tells the range.
 #[derive(Clone, Debug)]
 pub(crate) struct MovingArray {
     /// Ends and feet of the baselines at each sample about the middle of the feet, metres.

@@ -1093,3 +1093,25 @@ fn taped_answers_to_others_are_not_heard_again() {
     assert_eq!(replayed((last, &[&now[0].2, &now[1].2])), 2, "answers to frames before the last");
     assert_eq!(replayed((last, &[&older[0].2])), 1, "an answer to a frame of an older session");
 }
+
+/// Numbers begin again with each session, so an answer to the same number of an older one makes no pair.
+#[test]
+fn answers_to_an_older_session_of_this_robot_make_no_pair() {
+    let configs = three_with_keys();
+    let older = exchanges(&configs, 4, 1).remove(0);
+    let (now, forward, answer) = exchanges(&configs, 5, 1).remove(0);
+    let mut initiator = Tdma::new(&Config { session: 5, ..configs[0].clone() }).unwrap();
+    let sent = std::iter::from_fn(|| {
+        let at = initiator.poll_timeout()?;
+        Some(initiator.poll_transmit(at).map(|sent| sent.frame.to_vec()))
+    });
+    assert!(sent.flatten().any(|frame| frame == forward));
+    let mut answered = |answer: &[u8]| {
+        initiator.handle_heard(now, now, answer);
+        let events = std::iter::from_fn(|| initiator.poll_event());
+        let pairs = events.filter(|event| matches!(event, Event::Answered { .. })).count();
+        (pairs, initiator.counts().unmatched)
+    };
+    assert_eq!(answered(&older.2), (0, 1));
+    assert_eq!(answered(&answer), (1, 1));
+}
