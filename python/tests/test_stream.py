@@ -35,7 +35,7 @@ def room(tmp_path: Path) -> Iterator[str]:
     (tmp_path / "scene.toml").write_text(SCENE)
     socket = tmp_path / "room"
     command = [program, "simulate", str(tmp_path / "scene.toml"), "--serve", "--socket", str(socket)]
-    respond = [program, "respond", "--room", f"{socket}#tx", "--peers", "02:53:00:00:00:00"]
+    respond = [program, "sound", "--answer", "--room", f"{socket}#tx", "--peers", "02:53:00:00:00:00"]
     sound = [program, "sound", "--room", f"{socket}#rx", "--peers", "02:53:00:00:00:01", "--alone", "--rate", "25"]
     # A shared machine is sometimes late: the slots have room.
     sound += ["--guard", "4000", "--turn-around", "8000"]
