@@ -103,7 +103,7 @@ fi
 "$CSI5300_PROGRAM" simulate lab-circle --serve --socket "$work/room" 2>served.txt &
 started=($!)
 until [ -e "$work/room" ] || ! kill -0 "${started[0]}"; do sleep 0.1; done
-"$CSI5300_PROGRAM" respond --room "$work/room#tx" --peers 02:53:00:00:00:01 >robots.txt 2>&1 &
+"$CSI5300_PROGRAM" sound --answer --room "$work/room#tx" --peers 02:53:00:00:00:01 >robots.txt 2>&1 &
 started+=($!)
 "$CSI5300_PROGRAM" sound --room "$work/room#rx" --peers 02:53:00:00:00:02 --alone --rate 25 --guard 4000 --turn-around 8000 >>robots.txt 2>&1 &
 started+=($!)
