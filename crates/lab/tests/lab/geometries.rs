@@ -353,3 +353,23 @@ fn a_mirror_leaves_a_range_and_no_place() {
         assert_eq!(answer.mirror_rad.is_some(), !has_place, "{answer:?}");
     }
 }
+
+/// A level line shows no elevation to the posterior over windows either: the error bar contains what that leaves of the azimuth.
+#[test]
+fn windows_along_a_line_claim_no_elevation() {
+    let line = Ends {
+        receiver: RobotMotion::Line(Line { length_m: 1.8, duration_s: 12.0, start_s: 0.0 }),
+        transmitter_m: [-3.9, 1.9, 0.0],
+        duration_s: 13.0,
+        snr_db: 20.0,
+        odometry_noise_m: 0.0003,
+        ..Ends::default()
+    };
+    let mut options = options();
+    options.accuracy.effort = Effort::Everything;
+    for seed in 0..4 {
+        let (bearing, seen) = judged(&Ends { seed, ..line.clone() }, &options);
+        assert!(bearing.answer.elevation_sd_rad.is_none(), "{seed}: {:?}", bearing.answer);
+        assert!(seen.folded_error_deg < seen.azimuth_sd_deg && seen.azimuth_sd_deg > 3.0, "{seed}: {seen:?}");
+    }
+}
