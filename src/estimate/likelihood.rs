@@ -48,8 +48,8 @@ impl Place {
     }
 }
 
-/// A motion, as the ways along it are counted: to its points, from feet if there are any. The phases of the parts between `ends` have
-/// nothing in common; without ends, all is one part.
+/// The ways that samples hold: to a point, less the way to its foot if there are feet. Each part, up to the next of `ends`, has a phase
+/// of its own; without ends there is one part.
 #[derive(Clone, Copy)]
 pub(crate) struct Ways<'a> {
     /// Displacements about the middle, metres.
@@ -97,7 +97,7 @@ impl<'a> Ways<'a> {
     }
 
     /// The samples without the phases of the ways from a place.
-    fn turned(self, samples: &Samples, place: &Place) -> Vec<Complex64> {
+    pub fn turned(self, samples: &Samples, place: &Place) -> Vec<Complex64> {
         let ways_m = self.each(place.ways_m());
         samples.z().iter().zip(ways_m).map(|(z, way_m)| z * Complex64::cis(samples.kappa() * way_m)).collect()
     }
@@ -106,7 +106,7 @@ impl<'a> Ways<'a> {
 /// A motion and its channels, ready for any place.
 pub(crate) struct Field {
     points: Axes,
-    /// What ways are counted from, where that moves.
+    /// The feet of the points, of a [`Ways`] that has them.
     feet: Option<Axes>,
     apertures: Vec<Own>,
     /// Ends of the shortest windows, the first being 0.

@@ -54,9 +54,9 @@ const LARGE_SHARE: f64 = 0.5;
 /// Nearest places that a motion leaves free, in its radii: outside, and where the motion goes around the transmitter.
 const OUTSIDE: f64 = 1.2;
 const INSIDE: f64 = 0.2;
-/// An azimuth of a line goes on at the next elevation if it is within so many steps.
+/// Azimuths of a line at two successive elevations belong to one mode if they differ by less than this many steps.
 const LINE_STEPS: f64 = 3.0;
-/// A phase that a parallax changes by less shows none, radians.
+/// A smaller change of phase by parallax does not matter, radians.
 const SAME_DIRECTION_RAD: f64 = 0.5;
 /// From this accuracy on the grid alone will do, radians: of 71 WSR links it moves the azimuth by 1.1 degrees in the median, 2.5 at most.
 pub(crate) const COARSE_RAD: f64 = 0.052;
@@ -105,7 +105,7 @@ pub(crate) struct Task<'a> {
     pub align: bool,
     pub one_way: bool,
     pub tier: Tier,
-    /// Of an array whose robot drives: where it is meanwhile.
+    /// Of an array on a robot that drives: where its antennas are.
     pub drive: Option<&'a MovingArray>,
 }
 
@@ -113,16 +113,16 @@ pub(crate) struct Task<'a> {
 /// along the drive, which tells the range.
 #[derive(Clone, Debug)]
 pub(crate) struct MovingArray {
-    /// Ends and feet of the baselines at each sample about the middle of the feet, metres.
+    /// Ends and feet of the baselines at each sample, metres from the mean of the ends.
     pub ends_m: Vec<Vector3<f64>>,
     pub feet_m: Vec<Vector3<f64>>,
-    /// Where the samples of each baseline end whose phase is its own.
+    /// Ends of the samples that have a phase in common ([`Ways::ends`]).
     pub parts: Vec<usize>,
 }
 
 impl MovingArray {
-    /// Whether the directions from all places are one, as far as the samples of baselines this long can tell; they reach `more_m`
-    /// beyond these places.
+    /// Whether baselines of up to `longest_m` cannot tell the directions from these places apart. The antennas may be up to `more_m`
+    /// away from the places, metres.
     pub fn is_short(places_m: &[Vector3<f64>], (longest_m, more_m): (f64, f64), wavelength_m: f64) -> bool {
         let parallax_rad = radius_m(places_m).max(more_m) / NEAREST_M;
         TAU * longest_m * parallax_rad < wavelength_m * SAME_DIRECTION_RAD
@@ -132,7 +132,19 @@ impl MovingArray {
         Ways { points: &self.ends_m, feet: &self.feet_m, ends: &self.parts }
     }
 
-    /// The ends of baselines as the samples tell places apart, metres: driving past a transmitter turns them.
+    /// The likelihood over windows and channels.
+    fn field(&self, task: &Task<'_>, bins: &Bins, apertures: &[Aperture]) -> Field {
+        let [ends, feet] = [&self.ends_m, &self.feet_m].map(|points| bins.points_m(points));
+        let arms: Vec<Vector3<f64>> = ends.iter().zip(&feet).map(|(end, foot)| end - foot).collect();
+        let parts: Vec<usize> = self.parts.iter().map(|end| end.checked_sub(1).map_or(0, |k| bins.of[k] + 1)).collect();
+        let path_m: f64 = arms.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+        let wavelength_m = task.samples.wavelength_m();
+        let independent = (2.0 * path_m / wavelength_m).min(bins.len() as f64);
+        let ways = Ways { points: &ends, feet: &feet, ends: &parts };
+        Field::of_array(ways, apertures.to_vec(), wavelength_m, independent, task.tier)
+    }
+
+    /// A path whose length measures how much the samples change, metres: by turns of the baselines, and by the parallax of the drive.
     fn probe_m(&self) -> Vec<Vector3<f64>> {
         let arms = || self.ends_m.iter().zip(&self.feet_m).map(|(end, foot)| (end - foot, foot));
         let by_parallax = arms().map(|(arm, _)| arm.norm()).fold(0.0, f64::max) / NEAREST_M;
@@ -141,7 +153,7 @@ impl MovingArray {
 }
 
 impl Task<'_> {
-    /// The ways of a motion, and how far it reaches for places to be near it.
+    /// The ways to a motion's points, and the places that it covers.
     fn ways<'b>(&'b self, points: &'b [Vector3<f64>]) -> (Ways<'b>, &'b [Vector3<f64>]) {
         self.drive.map_or((Ways::to(points), points), |drive| (drive.ways(), &drive.ends_m))
     }
@@ -189,7 +201,7 @@ pub struct Risk {
 pub enum Reason {
     /// [`Effort::Everything`].
     Asked,
-    /// The antennas of one log are on a robot that drives: the direction changes on the way.
+    /// One log of a robot that drives: the direction changes along the drive.
     Drives,
     /// One wave is not the whole answer.
     Unexplained(Unexplained),
@@ -199,7 +211,7 @@ impl std::fmt::Display for Reason {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Asked => f.write_str("everything was asked for"),
-            Self::Drives => f.write_str("the robot drives, so the direction changes on the way"),
+            Self::Drives => f.write_str("the robot drives, so the direction changes along the drive"),
             Self::Unexplained(unexplained) => unexplained.fmt(f),
         }
     }
@@ -235,7 +247,7 @@ impl Found {
         self.modes.first().into_iter().chain(mirror).map(|mode| mode.place.azimuth).collect()
     }
 
-    /// The 1 / range of the first mode, or where the waves were plane that of the prior on average, 1/m.
+    /// The 1 / range of the first mode, 1/m; for plane waves the prior's mean.
     pub fn expected_curve(&self) -> f64 {
         let known = self.modes.first().map_or(0.0, |mode| mode.place.curve);
         if self.prior.curve_max > 0.0 { known } else { (1.0 - 1.0 / FARTHEST) / (NEAREST_M * FARTHEST.ln()) }
@@ -488,19 +500,6 @@ fn bend(modes: &mut [Mode], points: &[Vector3<f64>], bend_rad: f64) {
     }
 }
 
-impl MovingArray {
-    fn field(&self, task: &Task<'_>, bins: &Bins, apertures: &[Aperture]) -> Field {
-        let [ends, feet] = [&self.ends_m, &self.feet_m].map(|points| bins.points_m(points));
-        let arms: Vec<Vector3<f64>> = ends.iter().zip(&feet).map(|(end, foot)| end - foot).collect();
-        let parts: Vec<usize> = self.parts.iter().map(|end| end.checked_sub(1).map_or(0, |k| bins.of[k] + 1)).collect();
-        let path_m: f64 = arms.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-        let wavelength_m = task.samples.wavelength_m();
-        let independent = (2.0 * path_m / wavelength_m).min(bins.len() as f64);
-        let ways = Ways { points: &ends, feet: &feet, ends: &parts };
-        Field::of_array(ways, apertures.to_vec(), wavelength_m, independent, task.tier)
-    }
-}
-
 /// The likelihood over windows and channels for one model of the heights.
 fn field(task: &Task<'_>, bins: &Bins, model: &Model, apertures: &[Aperture]) -> Field {
     let (wavelength_m, gain) = (task.samples.wavelength_m(), f64::from(task.samples.path_gain()));
@@ -531,11 +530,11 @@ impl Windowed {
         Self { model, evidence, modes }
     }
 
-    /// The same of motion along a level line, which shows no elevation: each one has its own azimuths. Errors of the path count the less,
-    /// the steeper the place, so that a steeper one explains more is no evidence for it.
+    /// The same for motion along a level line, which shows no elevation: each elevation has its own azimuths. Errors of the path count
+    /// less for a steeper place, so a better fit there is no evidence for it.
     fn along_line(field: &Field, model: Model, fine: bool) -> Self {
         let (mut level, mut modes) = (None, Vec::<Mode>::new());
-        // Where the modes have come to from one elevation to the next, radians.
+        // The azimuth of each mode at the last elevation, radians.
         let mut azimuths: Vec<f64> = Vec::new();
         for cell in one_wave::elevations(&model.prior) {
             let prior = model.prior.between([cell.low, cell.high]);

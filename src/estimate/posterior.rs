@@ -115,8 +115,8 @@ impl Steps {
         }
     }
 
-    /// The same for an array on a robot that drives so far from the middle of its way: a range turns the direction by its parallax, and
-    /// a range with another direction may explain much the same.
+    /// The same for an array on a robot that drives as far as `reach_m`, metres, from its mean place: a range and a direction may explain
+    /// about the same as another range with another direction.
     pub fn with_parallax(self, reach_m: f64) -> Self {
         Self { curve: 0.25 * self.azimuth / reach_m, ..self }
     }

@@ -11,8 +11,8 @@
 //! constant of the two chains. So a turning baseline is a synthetic array: `R b` is the displacement, the path gain is 1, and
 //! the samples go into the same estimate as those of two logs.
 //!
-//! Of a robot that only turns the wave front is assumed to be plane, so there is no range. One that drives sees the transmitter from
-//! several places: the ways to both antennas are then those of a spherical wave (`MovingArray`), which gives the range.
+//! If the robot only turns, the wave front is assumed to be plane, so there is no range. A robot that drives sees the transmitter from
+//! several places: then the ways to both antennas are those of a spherical wave (`MovingArray`), which gives the range.
 //!
 //! A turn also gives `c` ([`ChainConstant`]). It holds until the firmware is loaded again. With a known `c`
 //! ([`Array::with_constants`]) a standing robot has a bearing too; two antennas leave its mirror across the baseline.
@@ -26,7 +26,7 @@ use super::first_delay::FirstDelay;
 use super::options::{JoinBy, Options};
 use super::{LinkReport, LogReport};
 use crate::bartlett;
-use crate::estimate::likelihood::Place;
+use crate::estimate::likelihood::{Place, Ways};
 use crate::estimate::{Found, MovingArray, Task, estimate, heading};
 use crate::maths::wrap_rad;
 use crate::motion::pose::{Trajectory, TrajectoryError};
@@ -63,10 +63,11 @@ const CLEAR_SHARE: f64 = 0.9;
 /// constant is off by half a turn, on other cards by anything.
 const CONTRADICTS_SD: f64 = 4.0;
 const CONTRADICTS_RAD: f64 = 0.5;
-/// How far from the tracked point of a robot its antennas are, metres; where that is given, how well.
+/// Standard deviation of the first antenna's place relative to the trajectory, metres: if its place on the robot is unknown, and if it
+/// is given.
 const ON_ROBOT_SD_M: f64 = 0.05;
 const GIVEN_SD_M: f64 = 0.005;
-/// How well a sample tells a way, metres.
+/// Standard deviation of the difference of ways in a sample, metres.
 const WAY_SD_M: f64 = 0.001;
 /// Samples of each baseline in the search for the chains' constants.
 const ROUGH_ROWS: usize = 256;
@@ -172,7 +173,8 @@ impl Array {
         Ok(Self { constants: constants.to_vec(), ..self })
     }
 
-    /// Says that the trajectory is that of the first antenna. Otherwise it is some centimetres away from it, so error bars are wider.
+    /// States that the trajectory is that of the first antenna. By default the antenna may be 5 cm away from it, and error bars
+    /// include that.
     #[must_use]
     pub fn on_trajectory(self) -> Self {
         Self { is_placed: true, ..self }
@@ -511,20 +513,22 @@ pub fn one_log(
 struct Baseline {
     samples: Samples,
     rows: Vec<usize>,
-    /// Where the first antenna was, metres from the middle of its way; empty if that is too short to matter.
+    /// Where the first antenna was, metres from the middle of its path; empty if the path is too short to matter.
     places_m: Vec<Vector3<f64>>,
 }
 
 impl Baseline {
     /// The samples without the phases that a wave from a place would have.
     fn steered(&self, place: &Place) -> Vec<Complex64> {
-        let (way_m, wavelength_m) = (place.ways_m(), self.samples.wavelength_m());
-        let way_m = |k: usize, arm: &Vector3<f64>| match self.places_m.get(k) {
-            Some(place) => way_m(place) - way_m(&(place - arm)),
-            None => way_m(arm),
-        };
-        let each = self.samples.receiver_m().iter().zip(self.samples.z()).enumerate();
-        each.map(|(k, (arm, z))| z * Complex64::cis(TAU * way_m(k, arm) / wavelength_m)).collect()
+        let feet = self.feet_m();
+        let drive = Ways { points: &self.places_m, feet: &feet, ends: &[] };
+        let ways = if feet.is_empty() { Ways::to(self.samples.receiver_m()) } else { drive };
+        ways.turned(&self.samples, place)
+    }
+
+    /// Where the other antenna was, metres, as [`Self::places_m`].
+    fn feet_m(&self) -> Vec<Vector3<f64>> {
+        self.places_m.iter().zip(self.samples.receiver_m()).map(|(place, arm)| place - arm).collect()
     }
 }
 
@@ -547,7 +551,7 @@ struct Joined {
     /// Path of the first baseline's end over the whole trajectory.
     arm: Trajectory,
     length_m: f64,
-    /// The middle of the robot's way, metres.
+    /// The mean place of the first antenna, metres.
     middle_m: Vector3<f64>,
     drives: bool,
 }
@@ -601,7 +605,7 @@ impl Joined {
         let places_m: Vec<Vector3<f64>> = baselines.iter().flat_map(|own| own.places_m.iter().copied()).collect();
         let middle_m = places_m.iter().sum::<Vector3<f64>>() / places_m.len().max(1) as f64;
         let longest_m = array.baselines_m().map(|baseline_m| baseline_m.norm()).fold(0.0, f64::max);
-        // How far an antenna is from the tracked point, the turn moves it about there.
+        // A turn moves the other antennas about the first.
         let turns_m = if array.is_placed { longest_m } else { 0.0 };
         let drives = options.accuracy.near_field
             && !MovingArray::is_short(&places_m, (longest_m, turns_m), options.channel.wavelength_m());
@@ -612,8 +616,8 @@ impl Joined {
         Ok(Self { baselines, fates, arm, length_m, middle_m, drives })
     }
 
-    /// What tells the range, if the robot drives: after `anchors` samples at the origin those of all baselines. The phase of each is its
-    /// own, unless it is known.
+    /// The array on the drive: `anchors` samples at the origin, then those of all baselines. Each baseline has a phase of its own, unless
+    /// the constants are known. `None` if the robot does not drive.
     fn drive(&self, anchors: usize) -> Option<MovingArray> {
         let mut drive = MovingArray {
             ends_m: vec![Vector3::zeros(); anchors],
@@ -622,7 +626,7 @@ impl Joined {
         };
         for own in self.baselines.iter().filter(|own| !own.samples.is_empty()) {
             drive.ends_m.extend(&own.places_m);
-            drive.feet_m.extend(own.places_m.iter().zip(own.samples.receiver_m()).map(|(place, arm)| place - arm));
+            drive.feet_m.extend(own.feet_m());
             drive.parts.push(drive.feet_m.len());
         }
         if anchors > 0 {
@@ -752,14 +756,14 @@ impl Joined {
         if apart > 0.0 { (ATTITUDE_SD_RAD.powi(2) * whole / apart).min(1.0) } else { 0.0 }
     }
 
-    /// The way of the robot if it drives, else of the end of its first baseline, metres.
+    /// The path of the robot if it drives, else of the end of its first baseline, metres.
     fn path_m(&self, trajectory: &Trajectory) -> Vec<Vector3<f64>> {
         let (path, scale) = if self.drives { (trajectory, 1.0) } else { (&self.arm, self.length_m / GATE_ARM_M) };
         path.poses().iter().map(|pose| pose.position_m * scale).collect()
     }
 
-    /// Covariance that antennas `sd_m` away from where the trajectory says add to azimuth, elevation and 1 / range of the first mode, by
-    /// least squares. A place on the robot turns with the robot, so whole turns leave little of it.
+    /// What an antenna's error of `sd_m`, metres, on the robot adds to the covariance of azimuth, elevation and 1 / range of the first
+    /// mode, by least squares. The error turns with the robot, so whole turns leave little of it.
     fn covariance_on_robot(&self, found: &Found, sd_m: f64, with_constants: bool) -> Matrix3<f64> {
         const STEP: f64 = 1e-4;
         let Some(first) = found.modes.first() else { return Matrix3::zeros() };
@@ -800,6 +804,7 @@ impl Joined {
             }
         }
         let [elevation_sd, _] = found.prior.deviations();
+        // Azimuths are uniform over the circle.
         let prior_sd = Vector3::new(1.8, elevation_sd.max(1e-3), found.prior.curve_max.max(1e-3) / 12f64.sqrt());
         let floor = Matrix3::from_diagonal(&prior_sd.map(|sd| (WAY_SD_M / sd).powi(2)));
         let moves = (information + floor).try_inverse().unwrap_or_default() * slopes * sd_m;

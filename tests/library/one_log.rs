@@ -421,8 +421,8 @@ fn antennas_with_different_subcarriers_make_no_frame() {
     assert_eq!([30, 1, 31].map(heard), [true, false, false]);
 }
 
-/// A robot that drives past a sender hears it from other directions meanwhile: its odometry and two or three antennas tell the place,
-/// too. Without `near_field`, one direction is assumed for all of the way.
+/// While a robot drives past a sender, its direction changes: odometry and two or three antennas give the place. Without `near_field`
+/// the estimate assumes one direction for the whole drive.
 #[test]
 fn a_robot_that_drives_finds_the_place_of_a_sender() {
     use csi5300_sim::motion::{RandomWalk, RobotMotion};
@@ -473,7 +473,7 @@ fn a_robot_that_drives_finds_the_place_of_a_sender() {
             let covariance = range.covariance_m2.fixed_view::<2, 2>(0, 0).into_owned();
             levels.push(off.dot(&(covariance.try_inverse().unwrap() * off)));
             assert!(off.norm() < 0.3 && range.sd_m < 0.5, "{count} {seed}: {off} {range:?}");
-            // From the nose at the end: the sender's place seen from the antenna's.
+            // The azimuth is seen from the middle of the drive.
             let way = Vector3::from(sender_m) - bearing.mean_position_m;
             assert!(wrap_rad(bearing.answer.azimuth_rad - way.y.atan2(way.x)).abs() < 0.05, "{count} {seed}");
             let plane = seen(seed, count, false);

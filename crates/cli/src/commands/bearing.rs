@@ -127,8 +127,8 @@ struct Logs {
     #[command(flatten)]
     bag: BagArgs,
     /// Position of the first of --antennas relative to the second: metres forward, left, up; repeat it for a third antenna.
-    /// Two antennas of a robot that turns give bearings to all senders in --rx, and places if it drives; --tx adds the answers. With the constant DEG of
-    /// the chains and its deviation SD (`chain_constants_deg` of --json), the robot may stand
+    /// Two antennas of a robot that turns give bearings to all senders in --rx, and places if it drives; --tx adds the
+    /// answers. With the constant DEG of the chains and its deviation SD (`chain_constants_deg` of --json), the robot may stand
     #[arg(
         long,
         value_name = "X,Y,Z[,DEG[,SD]]",
@@ -614,7 +614,7 @@ fn run_one_log(args: &Args) -> Result {
     }
     if report.links.is_empty() {
         wrong!(
-            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows how many there are, its --plot whether one is silent",
+            "{}: no record has the CSI of all named antennas (--antennas); `csi5300 info` shows how many antennas there are, and with --plot whether one is silent",
             rx.display()
         );
     }
