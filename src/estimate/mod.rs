@@ -13,6 +13,7 @@
 //! the posterior is that of independent samples (`one_wave`). Everything else is searched with windows, which assume only
 //! that a wave stays coherent over some part of the motion.
 
+pub(crate) mod clock;
 mod combine;
 pub(crate) mod likelihood;
 mod mirror;
@@ -30,6 +31,7 @@ use crate::maths::wrap_rad;
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::Planes;
 use crate::signal::samples::Samples;
+pub(crate) use clock::Clocks;
 pub(crate) use combine::both;
 use likelihood::{Field, Place, Ways};
 use nalgebra::Vector3;
@@ -107,6 +109,8 @@ pub(crate) struct Task<'a> {
     pub tier: Tier,
     /// Of an array on a robot that drives: where its antennas are.
     pub drive: Option<&'a MovingArray>,
+    /// If the clocks of samples and trajectory are to be compared.
+    pub clocks: Option<Clocks<'a>>,
 }
 
 /// An array on a robot that drives: a sample holds the way to the end of a baseline less the way to its foot. The direction changes
@@ -239,6 +243,8 @@ pub(crate) struct Found {
     pub middle_m: Vector3<f64>,
     /// Standard deviation of the path's scale.
     pub scale_sd: f64,
+    /// `ln` of the likelihood at other times ([`clock::offsets_s`]), if [`Task::clocks`] asked for it and one wave is not the whole answer.
+    pub at_other_times: Vec<f64>,
 }
 
 impl Found {
@@ -266,8 +272,12 @@ impl Found {
 
     /// Probability that the truth is within `half_rad` of the answer.
     pub fn probability_within(&self, half_rad: f64) -> f64 {
-        let own: Vec<f64> = self.centres().into_iter().take(1).collect();
-        mass_within(&self.modes, &self.blur, &own, half_rad)
+        self.modes.first().map_or(0.0, |first| self.probability_about(first.place.azimuth, half_rad))
+    }
+
+    /// Probability that the truth is within `half_rad` of an azimuth.
+    pub fn probability_about(&self, azimuth_rad: f64, half_rad: f64) -> f64 {
+        mass_within(&self.modes, &self.blur, &[azimuth_rad], half_rad)
     }
 
     /// Probability of the truth being at each azimuth, per radian, with everything that blurs it: `count` of them from 0.
@@ -415,7 +425,9 @@ pub(crate) fn estimate(
             Err(of_strongest) => reason = of_strongest,
         }
     }
-    let (slope_sd_rad, apertures) = channels(task, &bins, rows(), used);
+    let mut rows = rows();
+    let (slope_sd_rad, apertures) = channels(task, &bins, &mut rows, used);
+    let gain = apertures.last().map_or(samples.path_gain(), |last| last.path_gain);
     let fine = !matches!(task.effort, Effort::Within(asked) if asked >= COARSE_RAD);
     let mut best: Option<Windowed> = None;
     for model in models {
@@ -441,6 +453,10 @@ pub(crate) fn estimate(
         return Ok(found);
     }
     let bound_rad = modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt());
+    let at_other_times = match (&task.clocks, start) {
+        (Some(clocks), Some(place)) => clocks.logs(task, (&rows, gain), &model, (middle_m, place)),
+        _ => Vec::new(),
+    };
     let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry());
     widen(&mut modes, &model, task);
     Ok(Found {
@@ -455,6 +471,7 @@ pub(crate) fn estimate(
         slope_sd_rad,
         middle_m,
         scale_sd: task.scale_sd,
+        at_other_times,
     })
 }
 
@@ -724,29 +741,30 @@ fn of_one_wave(
         slope_sd_rad: None,
         middle_m,
         scale_sd: task.scale_sd,
+        at_other_times: Vec::new(),
     }
 }
 
 /// The channels along the motion, averaged, and the standard deviation of the slopes that were removed.
-fn channels(task: &Task<'_>, bins: &Bins, mut rows: Vec<Planes>, used: &[usize]) -> (Option<f64>, Vec<Aperture>) {
+fn channels(task: &Task<'_>, bins: &Bins, rows: &mut [Planes], used: &[usize]) -> (Option<f64>, Vec<Aperture>) {
     let samples = task.samples;
     let gain = samples.path_gain();
     if rows.is_empty() {
         return (None, vec![Aperture::of_phasors(samples.z(), bins, gain)]);
     }
     let slope_sd_rad = task.align.then(|| {
-        remove_slope(&mut rows, &task.indices, task.tier);
-        align(&mut rows, &task.indices, task.tier)
+        remove_slope(rows, &task.indices, task.tier);
+        align(rows, &task.indices, task.tier)
     });
-    remove_slope(&mut rows, &task.indices, task.tier);
+    remove_slope(rows, &task.indices, task.tier);
     let silent = Planes::ZERO;
     let own = |rows: &[Planes]| -> Aperture {
         let chosen = used.iter().map(|&k| rows.get(k).unwrap_or(&silent));
         Aperture::of_subcarriers(chosen, bins, gain, task.tier)
     };
-    let mut apertures = vec![own(&rows)];
+    let mut apertures = vec![own(rows)];
     if task.one_way && gain == 2 && is_dense_enough(samples.spacing_m() / samples.wavelength_m()) {
-        take_roots(&mut rows, task.tier);
+        take_roots(rows, task.tier);
         let chosen = used.iter().map(|&k| rows.get(k).unwrap_or(&silent));
         apertures.push(Aperture::of_subcarriers(chosen, bins, 1, task.tier));
     }

@@ -187,7 +187,7 @@ pub(crate) struct Stretch {
 /// point, `poses` are those of the trajectory.
 pub(crate) fn stretches(
     task: &Task<'_>,
-    rows: Vec<Planes>,
+    mut rows: Vec<Planes>,
     used: &[usize],
     poses: &[Pose],
     link: usize,
@@ -201,7 +201,7 @@ pub(crate) fn stretches(
         return Err("the motion is not level");
     }
     let bins = Bins::along(&probe, task.samples.wavelength_m());
-    let (_, apertures) = channels(task, &bins, rows, used);
+    let (_, apertures) = channels(task, &bins, &mut rows, used);
     let means = |of: Vec<Vector3<f64>>| bins.points_m(&of);
     let plane = |of: Vec<Vector3<f64>>| means(of).iter().map(|p| Complex64::new(p.x, p.y)).collect::<Vec<_>>();
     let at_m = plane(poses.iter().map(|pose| pose.position_m).collect());
@@ -692,6 +692,7 @@ mod tests {
             align: true,
             one_way: true,
             drive: None,
+            clocks: None,
             tier: Tier::detect(),
         };
         let used: Vec<usize> = (0..poses.len()).collect();

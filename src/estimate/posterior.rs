@@ -355,7 +355,7 @@ struct CellBounds {
     curve: ([f64; 2], f64),
 }
 
-fn log_sum(logs: &[f64]) -> f64 {
+pub(super) fn log_sum(logs: &[f64]) -> f64 {
     let highest = logs.iter().copied().fold(f64::MIN, f64::max);
     highest + logs.iter().map(|log| (log - highest).exp()).sum::<f64>().ln()
 }

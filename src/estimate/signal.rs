@@ -208,6 +208,24 @@ impl Bins {
         (Self { of, counts }, driven_m)
     }
 
+    /// By the distance driven, at most `step_m`, and by the time, at most `step_s`: a robot that stands gets bins, too.
+    pub fn of_way_and_time((step_m, points_m): (f64, &[Vector3<f64>]), (step_s, times_s): (f64, &[f64])) -> Self {
+        let (mut of, mut counts, mut start) = (Vec::with_capacity(points_m.len()), Vec::<f64>::new(), None);
+        let mut way_m = 0.0;
+        for (k, (point, t_s)) in points_m.iter().zip(times_s).enumerate() {
+            way_m += if k > 0 { (point - points_m[k - 1]).norm() } else { 0.0 };
+            let is_new = start.is_none_or(|(at_m, at_s)| way_m - at_m >= step_m || t_s - at_s >= step_s);
+            if is_new {
+                counts.push(0.0);
+                start = Some((way_m, *t_s));
+            }
+            let own = counts.len() - 1;
+            counts[own] += 1.0;
+            of.push(own);
+        }
+        Self { of, counts }
+    }
+
     pub fn len(&self) -> usize {
         self.counts.len()
     }

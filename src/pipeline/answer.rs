@@ -3,6 +3,7 @@
 //! A place can be carried from one stretch of motion to the next: [`CarriedAnswer`], and a capture cut into stretches.
 
 use super::bearing::{Bearing, BearingAnswer, Candidate, PairCounts, WaveModel};
+use super::clocks::ClockOffset;
 use super::error::LinkError;
 use super::explain::LinkPlan;
 use super::link::Link;
@@ -90,6 +91,9 @@ pub struct Answer {
     /// What the odometry of the drive got wrong, if requested; the bearing is on the corrected trajectory unless `refused`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub odometry_fit: Option<OdometryFit>,
+    /// What the phases say of the clocks of log and trajectory, if one wave is not the whole answer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub clock_offset: Option<ClockOffset>,
     /// The directions that explain the samples, the most probable first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub candidates: Vec<CandidateAnswer>,
@@ -261,6 +265,7 @@ impl Answer {
         self.compensated = bearing.compensated;
         self.range_change = bearing.range_change.as_ref().map(RangeChangeAnswer::new);
         self.odometry_fit.clone_from(&bearing.odometry_fit);
+        self.clock_offset = bearing.clock_offset;
         self.slope_sd_rad = bearing.slope_sd_rad;
         if let Some(turn_around) = &bearing.turn_around {
             // Turn-arounds that are too regular do not show the offset.
@@ -348,12 +353,12 @@ fn geometry_words(geometry: &Geometry) -> String {
     words.into()
 }
 
-/// True if any log lost records before its tail, any link failed, or its logs may be exchanged: exit status 3.
+/// True if any log lost records before its tail, or any link failed or is in doubt: exit status 3.
 #[must_use]
 pub fn lost_something(report: &CaptureReport) -> bool {
     let logs = std::iter::once(&report.receiver).chain(&report.transmitters);
     logs.into_iter().any(|log| log.survey.lost_something())
-        || report.links.iter().any(|link| !matches!(&link.bearing, Ok(bearing) if !bearing.pairs.may_be_exchanged()))
+        || report.links.iter().any(|link| !matches!(&link.bearing, Ok(bearing) if !bearing.is_in_doubt()))
 }
 
 /// One stretch of a capture's motion, of one link.

@@ -1,6 +1,7 @@
 //! The result of a link: one answer from the posterior, the data that it was computed from, and its evidence about the
 //! transmitter's place, for a filter over several motions.
 
+use super::clocks::ClockOffset;
 use super::one_log::ChainConstant;
 use crate::bartlett::{self, Estimate, Grid, Method, Planner, ProfileOptions};
 use crate::estimate::likelihood::{Place, Ways};
@@ -120,9 +121,29 @@ impl BearingAnswer {
     }
 
     /// The same if the logs may be exchanged: then the direction is random.
-    pub(super) fn halved(mut self) -> Self {
-        self.probability *= 0.5;
-        self.candidates.iter_mut().for_each(|candidate| candidate.share *= 0.5);
+    pub(super) fn halved(self) -> Self {
+        self.times(0.5)
+    }
+
+    /// The same if other times are far likelier: no more probable than by the posterior of those, with bars that hold their bearing.
+    pub(super) fn doubted(mut self, likelier: &Bearing) -> Self {
+        let probability = likelier.found.probability_about(self.azimuth_rad, RIGHT_RAD);
+        let others = [Some(likelier.answer.azimuth_rad), likelier.answer.mirror_rad].into_iter().flatten();
+        let off_rad = others.map(|other| wrap_rad(other - self.azimuth_rad).abs()).fold(f64::INFINITY, f64::min);
+        self.azimuth_sd_rad = self.azimuth_sd_rad.hypot(off_rad);
+        self.azimuth_95_rad = self.azimuth_95_rad.hypot(2.0 * off_rad).min(std::f64::consts::PI);
+        if let Some(range) = &mut self.range {
+            let across_m =
+                Vector3::new(-self.azimuth_rad.sin(), self.azimuth_rad.cos(), 0.0) * (range.range_m * off_rad);
+            range.covariance_m2 += across_m * across_m.transpose();
+        }
+        let by = probability / self.probability.max(f64::MIN_POSITIVE);
+        self.times(by.min(1.0))
+    }
+
+    fn times(mut self, by: f64) -> Self {
+        self.probability *= by;
+        self.candidates.iter_mut().for_each(|candidate| candidate.share *= by);
         self
     }
 
@@ -269,6 +290,8 @@ pub struct Bearing {
     /// What the odometry of the whole drive got wrong, if [`super::Options::fit_odometry`] asked for it: the same for all links of a
     /// receiver.
     pub odometry_fit: Option<OdometryFit>,
+    /// What the phases of all links of the receiver say of its clock and the trajectory's; none if one wave is the whole answer.
+    pub clock_offset: Option<ClockOffset>,
     /// Pairs by fate.
     pub pairs: PairCounts,
     /// Mean receiver position of the samples used, metres, trajectory frame: the origin of the answer's azimuth and
@@ -293,6 +316,11 @@ pub struct Bearing {
 }
 
 impl Bearing {
+    /// Whether it may be wrong by far more than its error bar: the logs may be exchanged, or the clocks differ.
+    pub(super) fn is_in_doubt(&self) -> bool {
+        self.pairs.may_be_exchanged() || self.clock_offset.is_some_and(|found| found.is_doubt())
+    }
+
     /// This bearing, of two logs, with what `one` tells of the same transmitter by antennas on the same robot over the same
     /// path: their log-likelihoods over azimuths add. Ranges and elevations are those of two logs.
     #[doc(hidden)] // for the crates of this workspace

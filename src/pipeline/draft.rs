@@ -11,7 +11,7 @@ use super::options::{JoinBy, Options};
 use crate::estimate::odometry::{self, OdometryFit, PROBE_M, Stretch};
 use crate::estimate::prior::Limits;
 use crate::estimate::range_change::range_change;
-use crate::estimate::{Found, NoRangeChange, RangeChange, estimate, is_searchable};
+use crate::estimate::{self, Found, NoRangeChange, RangeChange, Task, estimate, is_searchable};
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Motion, Pose, Trajectory, TrajectoryKind};
 use crate::signal::cfo::TurnAround;
@@ -79,11 +79,22 @@ pub struct LinkJoin<'a> {
 /// # Errors
 /// See [`LinkError`].
 pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing, LinkError> {
-    bearing_in(join, join.receiver.motion(), options)
+    bearing_in(join, join.receiver.motion(), (options, Clocks::AsGiven))
+}
+
+/// Whether the likelihood at other times is computed, too, for [`super::clocks::ClockOffset`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Clocks {
+    AsGiven,
+    Compared,
 }
 
 /// The same with the receiver's motion.
-fn bearing_in(join: &LinkJoin<'_>, motion: Motion, options: &Options) -> Result<Bearing, LinkError> {
+fn bearing_in(
+    join: &LinkJoin<'_>,
+    motion: Motion,
+    (options, clocks): (&Options, Clocks),
+) -> Result<Bearing, LinkError> {
     let LinkJoin { link, receiver, transmitter } = *join;
     something(link, receiver, options)?;
     let phases = Compensated::new(link, options);
@@ -108,7 +119,10 @@ fn bearing_in(join: &LinkJoin<'_>, motion: Motion, options: &Options) -> Result<
         if let Some(stretch) = gated.searchable(options) {
             gated = gated.within(stretch, &gate)?;
         }
-        let task = options.task(&gated.samples, receiver);
+        let displacement_m = |t_s| gate.displacement_m(t_s);
+        let compared = estimate::Clocks { times_s: &times_s, displacement_m: &displacement_m };
+        let is_compared = clocks == Clocks::Compared && options.join == JoinBy::Time;
+        let task = Task { clocks: is_compared.then_some(compared), ..options.task(&gated.samples, receiver) };
         let found = estimate(&task, || phases.round_trips(link, options), &gated.used)?;
         Ok((gated, found))
     });
@@ -142,20 +156,29 @@ fn bearing_in(join: &LinkJoin<'_>, motion: Motion, options: &Options) -> Result<
         found,
         kinds_rad: Vec::new(),
         odometry_fit: None,
+        clock_offset: None,
         path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
     })
 }
 
 /// The bearings of all links of a capture, in their order.
 #[must_use]
-pub fn estimate_all(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing, LinkError>> {
+pub(crate) fn estimate_all(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing, LinkError>> {
+    estimate_with(links, (options, Clocks::AsGiven))
+}
+
+/// The same, with or without what the phases say of the clocks.
+pub(super) fn estimate_with(
+    links: &[LinkJoin<'_>],
+    (options, clocks): (&Options, Clocks),
+) -> Vec<Result<Bearing, LinkError>> {
     // Links of one capture share their receiver, and so its motion.
     let Some((first, motion)) = links.first().map(|join| (join.receiver, join.receiver.motion())) else {
         return Vec::new();
     };
     let one = |join: &LinkJoin<'_>| {
         let is_shared = std::ptr::eq(join.receiver, first);
-        bearing_in(join, if is_shared { motion } else { join.receiver.motion() }, options)
+        bearing_in(join, if is_shared { motion } else { join.receiver.motion() }, (options, clocks))
     };
     if options.parallel { links.par_iter().map(one).collect() } else { links.iter().map(one).collect() }
 }
@@ -388,15 +411,24 @@ impl<'a> Gate<'a> {
         Ok(gated)
     }
 
+    /// The transmitter's displacement at a time.
+    fn transmitter_m(&self, t_s: f64) -> Option<Vector3<f64>> {
+        match &self.transmitter {
+            Some((trajectory, _)) => trajectory.at(t_s).map(|pose| pose.position_m),
+            None => Some(Vector3::zeros()),
+        }
+    }
+
+    /// Receiver less transmitter at a time.
+    fn displacement_m(&self, t_s: f64) -> Option<Vector3<f64>> {
+        Some(self.receiver.0.at(t_s)?.position_m - self.transmitter_m(t_s)?)
+    }
+
     fn place(&self, t_s: f64) -> Result<PairPlace, Fate> {
         if !self.options.keeps(t_s - self.first_s) {
             return Err(Fate::Cut);
         }
-        let partner = match &self.transmitter {
-            Some((trajectory, _)) => trajectory.at(t_s).map(|pose| pose.position_m),
-            None => Some(Vector3::zeros()),
-        };
-        let (Some(pose), Some(transmitter_m)) = (self.receiver.0.at(t_s), partner) else {
+        let (Some(pose), Some(transmitter_m)) = (self.receiver.0.at(t_s), self.transmitter_m(t_s)) else {
             return Err(Fate::NoPose);
         };
         let moves = |(trajectory, motion): &(&Trajectory, Motion)| trajectory.moves(motion, t_s);

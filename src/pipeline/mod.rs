@@ -38,6 +38,7 @@ pub use answer::{
 };
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
+pub use clocks::ClockOffset;
 pub(crate) use draft::{LinkJoin, bearing as estimate_one, estimate_all as estimate};
 pub use error::LinkError;
 pub use explain::{LinkPlan, StepPlan};
@@ -99,6 +100,14 @@ pub struct CaptureReport {
     pub links: Vec<LinkReport>,
 }
 
+impl CaptureReport {
+    /// What the phases say of the receiver's clock, if that puts its bearings in doubt.
+    #[must_use]
+    pub fn clock_doubt(&self) -> Option<ClockOffset> {
+        self.links.iter().find_map(|link| link.bearing.as_ref().ok()?.clock_offset).filter(ClockOffset::is_doubt)
+    }
+}
+
 /// Makes the bearings of one receiver to its transmitters.
 ///
 /// # Errors
@@ -133,13 +142,12 @@ pub fn bearings(
         .collect();
     let fit = options.fit_odometry.then(|| draft::fit_odometry(&joins, options));
     let (fit, corrected) = fit.map_or((None, None), |(fit, corrected)| (Some(fit), corrected));
-    let mut made = match &corrected {
-        None => estimate(&joins, options),
-        Some((receiver, heading_sd_rad)) => {
-            let joins: Vec<LinkJoin<'_>> = joins.iter().map(|join| LinkJoin { receiver, ..*join }).collect();
-            estimate(&joins, &Options { heading_sd_rad: Some(*heading_sd_rad), ..options.clone() })
-        }
+    let joins: Vec<LinkJoin<'_>> = match &corrected {
+        Some((receiver, _)) => joins.iter().map(|join| LinkJoin { receiver, ..*join }).collect(),
+        None => joins,
     };
+    let heading_sd_rad = corrected.as_ref().map(|(_, heading_sd_rad)| *heading_sd_rad).or(options.heading_sd_rad);
+    let mut made = clocks::estimate(&joins, &Options { heading_sd_rad, ..options.clone() });
     made.iter_mut().flatten().for_each(|bearing| bearing.odometry_fit.clone_from(&fit));
     let mut made = made.into_iter();
     let report = |(link, found): (Option<Link>, MacFound)| {

@@ -1003,6 +1003,7 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
         turn_around: None,
         range_change: None,
         odometry_fit: None,
+        clock_offset: None,
         pairs: counts,
         mean_position_m: joined.middle_m,
         end_m: last.map_or(joined.middle_m, |pose| pose.position_m),

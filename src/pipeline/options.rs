@@ -196,6 +196,7 @@ impl Options {
             align: self.accuracy.align,
             one_way: self.accuracy.one_way,
             drive: None,
+            clocks: None,
             tier: self.tier,
         }
     }

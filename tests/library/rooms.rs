@@ -9,7 +9,9 @@ use csi5300::driver_iface::record::{LENGTH_FIELD, code, written};
 use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::num_complex::Complex32;
-use csi5300::pipeline::{Answer, Array, ArrayFrame, Bearing, OneLog, Options, Transmitter, bearings, one_log};
+use csi5300::pipeline::{
+    Answer, Array, ArrayFrame, Bearing, JoinBy, OneLog, Options, Transmitter, bearings, lost_something, one_log,
+};
 use csi5300::source::other_card::Translated;
 use csi5300::source::replay::Replay;
 use csi5300_sim::{Room, Scene, SimulatedRobot, Simulation};
@@ -135,6 +137,44 @@ fn three_robots(motion: &str, seed: u64, has_walls: bool) -> Simulation {
          [[robot]]\nname = \"tx2\"\nposition_m = [-1.2, -3.0, 0.2]\ncrystal.offset_ppm = -1.0\n{walls}"
     );
     run_room(&scene)
+}
+
+#[test]
+fn clocks_that_differ_are_told_with_their_offset() {
+    let circle = "{ circle = { radius_m = 0.3, duration_s = 6.0, start_s = 2.5 } }";
+    for has_walls in [true, false] {
+        let run = three_robots(circle, 5, has_walls);
+        let at = |offset_s: f64, join: JoinBy| {
+            let options = Options { clock_offset_s: offset_s, join, ..Options::new("108".parse().unwrap()) };
+            let [mut rx, mut one, mut two] = [0, 1, 2].map(|k| run.robots[k].replay());
+            let transmitters = [&mut one, &mut two].map(|log| Transmitter { log, trajectory: None }).into();
+            bearings(&mut rx, transmitters, run.robots[0].true_path.as_ref().unwrap(), &options).unwrap()
+        };
+        let right = at(0.0, JoinBy::Time);
+        assert!(right.clock_doubt().is_none() && !lost_something(&right), "{has_walls}: {:?}", right.clock_doubt());
+        for offset_s in [0.3, -0.3, 1.5, -1.5, 4.0] {
+            let report = at(offset_s, JoinBy::Time);
+            let doubt = report.clock_doubt().unwrap_or_else(|| panic!("{has_walls}, {offset_s} s"));
+            println!("{has_walls}, {offset_s} s: {doubt:?}");
+            assert!(doubt.offset_s.abs() < 0.1 && doubt.sd_s < 0.1, "{has_walls}, {offset_s} s: {doubt:?}");
+            assert!(lost_something(&report));
+            for (link, right) in report.links.iter().zip(&right.links) {
+                let [found, right] = [link, right].map(|link| link.bearing.as_ref().unwrap());
+                let off_rad = wrap_rad(found.answer.azimuth_rad - right.answer.azimuth_rad).abs();
+                let sd_rad = found.answer.azimuth_sd_rad;
+                assert!((0.1..1.1 * sd_rad).contains(&off_rad), "{offset_s} s: {off_rad} +- {sd_rad}");
+                assert!(found.answer.probability < 0.2, "{:?}", found.answer);
+                assert!(found.answer.candidates[0].share < 0.2 && !found.answer.has_place());
+            }
+        }
+        // Poses of the n-th row have no clock.
+        assert!(
+            at(0.3, JoinBy::Row)
+                .links
+                .iter()
+                .all(|link| { link.bearing.as_ref().map_or(true, |bearing| bearing.clock_offset.is_none()) })
+        );
+    }
 }
 
 /// What wheels report whose lengths are too short, of a point that the antenna is seen from.

@@ -293,6 +293,7 @@ pub fn run(mut args: Args) -> Result {
     let mut all = std::iter::once(&trajectory).chain(&partners);
     let parted = all.find_map(|path| report.receiver.survey.clocks_part(path, &options));
     parted.iter().for_each(|words| note!("{}: {words}", rx.display()));
+    report.clock_doubt().iter().for_each(|doubt| note!("{}: {doubt}", rx.display()));
     let lost = answered < report.links.len() || !unread.is_empty() || lost_something(&report) || inputs.lost();
     let lost = lost || parted.is_some();
     Ok(Outcome::of(answered > 0, lost))

@@ -224,6 +224,7 @@ fn estimate(
     }
     let parted = report.receiver.survey.clocks_part(trajectory, options);
     parted.iter().for_each(|words| note!("{}: {words}", rx.display()));
+    report.clock_doubt().iter().for_each(|doubt| note!("{}: {doubt}", rx.display()));
     Ok((rows, parted.is_some() || lost_something(&report)))
 }
 

@@ -162,6 +162,7 @@ impl Capture {
         let mut all = std::iter::once(&trajectory).chain(moved.iter().flatten());
         let parted = all.find_map(|path| report.receiver.survey.clocks_part(path, &options));
         notes.extend(parted.map(|words| format!("{}: {words}", rx_path.display())));
+        notes.extend(report.clock_doubt().map(|doubt| format!("{}: {doubt}", rx_path.display())));
         let paths = match source {
             TrajectorySource::GroundTruth => moved,
             _ => self.moved(TrajectorySource::GroundTruth, &mut Vec::new())?,

@@ -268,6 +268,28 @@ fn exchanged_logs_are_detected_by_the_other_robots_clock() {
     }
 }
 
+#[test]
+fn a_trajectory_on_another_clock_is_told_by_real_phases() {
+    let Some(captures) = crate::common::captures() else { return };
+    for (place, date) in [("L1", "2021-06-27_202550"), ("L3", "2021-06-27_204514"), ("L5", "2021-06-27_191635")] {
+        let file = |name: &str| captures.join("wsr/LOS_Set_A").join(place).join(name.replace("DATE", date));
+        let open = |name: &str| Replay::open(&file(name)).unwrap();
+        let (path, _) = csv::read(&file("rx_trajectory_DATE_.csv")).unwrap();
+        let at = |clock_offset_s: f64| {
+            let [mut rx, mut two, mut three, mut four] =
+                ["rx", "tx2", "tx3", "tx4"].map(|name| open(&format!("csi_{name}_DATE.dat")));
+            let logs = [&mut two, &mut three, &mut four].map(|log| Transmitter { log, trajectory: None });
+            bearings(&mut rx, logs.into(), &path, &Options { clock_offset_s, ..options() }).unwrap()
+        };
+        assert_eq!(at(0.0).clock_doubt(), None, "{place}");
+        for offset_s in [0.3, -0.3, 2.0] {
+            let found = at(offset_s).clock_doubt().unwrap_or_else(|| panic!("{place}, {offset_s} s"));
+            println!("{place}, {offset_s} s: {found:?}");
+            assert!(found.offset_s.abs() < 0.15, "{place}, {offset_s} s: {found:?}");
+        }
+    }
+}
+
 /// Only the direct path, so that the shape of the channel does not show whose logs these are, and answers that jitter by more
 /// than the pauses between frames.
 fn of_direct_path(place_m: [f64; 2], offset_ppm: f64, turn_around: &str, turns: u32) -> Simulation {

@@ -16,6 +16,8 @@ const GOOD: f64 = 0.8;
 const FAIR: f64 = 0.5;
 /// An answer without a probability that is wider than this, degrees, is poor: nearly half a turn holds 68 %.
 const WIDE_DEG: f64 = 60.0;
+/// Phases that leave the clocks' difference with a larger deviation do not tell it, seconds.
+const TELLS_S: f64 = 0.3;
 /// If one wave explains a smaller share of the phases than this, the path may be wrong.
 const LITTLE: f64 = 0.3;
 
@@ -196,7 +198,9 @@ fn origin(answer: &Answer) -> String {
 /// What makes an answer poor.
 fn why(answer: &Answer, of: MirrorOf) -> String {
     let drives = matches!(of, MirrorOf::Motion);
-    if let Some(coherence) = answer.coherence.filter(|coherence| *coherence < LITTLE) {
+    if answer.clock_offset.is_some_and(|found| found.is_doubt()) {
+        "  Why: by the phases, the clocks of log and trajectory differ (see the note on --clock-offset).\n".into()
+    } else if let Some(coherence) = answer.coherence.filter(|coherence| *coherence < LITTLE) {
         let wrong = if drives {
             "the path is not that of the antenna (--antenna-offset, --clock-offset)"
         } else {
@@ -307,6 +311,16 @@ pub(super) fn pairs(answer: &Answer) -> String {
         );
         let _ = writeln!(text, "  CFO {cfo}; phase coherence {before:.2} -> {after:.2}");
     }
+    match answer.clock_offset {
+        Some(found) if found.sd_s < TELLS_S => {
+            let (offset_s, sd_s) = (fixed(found.offset_s, 2), found.sd_s);
+            let _ = writeln!(
+                text,
+                "  clocks: by the phases, the trajectory's is {offset_s} +- {sd_s:.2} s ahead of the log's"
+            );
+        }
+        _ => {}
+    }
     for (name, side) in sides(answer) {
         let odd = side.duplicates + side.implausible + side.mispaired + side.restarts;
         let _ = write!(
@@ -369,6 +383,7 @@ fn exchanged(counts: &PairCounts) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use csi5300::pipeline::ClockOffset;
 
     fn answer(confidence: f64, change: impl FnOnce(&mut Answer)) -> Answer {
         let mut answer = Answer::failed("tx".into(), String::new());
@@ -410,6 +425,23 @@ mod tests {
         assert!(describe_with(&answer(0.6, |_| ()), MirrorOf::Motion, "", None).contains("FAIR: 60 %"));
         let wide = describe_with(&answer(0.35, |answer| answer.coherence = Some(0.6)), MirrorOf::Motion, "", None);
         assert!(wide.contains("the peak is wide"), "{wide}");
+    }
+
+    #[test]
+    fn clocks_that_differ_are_why_and_those_that_agree_a_detail() {
+        let of = |log_ratio: f64, sd_s: f64| {
+            let mut answer = answer(0.1, |_| ());
+            answer.clock_offset = Some(ClockOffset { offset_s: -0.004, sd_s, log_ratio });
+            (describe_with(&answer, MirrorOf::Motion, "", None), pairs(&answer))
+        };
+        assert!(of(20.0, 0.05).0.contains("Why: by the phases, the clocks"), "{}", of(20.0, 0.05).0);
+        let (text, details) = of(0.5, 0.05);
+        assert!(text.contains("28 % of the phases"), "{text}");
+        assert!(
+            details.contains("clocks: by the phases, the trajectory's is 0.00 +- 0.05 s ahead of the log's"),
+            "{details}"
+        );
+        assert!(!of(0.5, 0.4).1.contains("clocks"));
     }
 
     #[test]

@@ -1,0 +1,141 @@
+//! How well the phases fit the trajectory at other times.
+//!
+//! If the trajectory's clock is ahead of the log's by `d`, each sample gets a place where the robot was at another time. On a circle
+//! that turns every place, and so the bearing, by what the robot goes round in `d`: the error bar says nothing of it. But no robot
+//! drives like a clock: starts, stops and every change of speed are at their times. So the likelihood is computed for shifted times,
+//! each with the place turned as the motion is, and about that. Pairs taken at rest count, too: another clock may have them move.
+
+use super::likelihood::{Field, Place};
+use super::posterior::log_sum;
+use super::signal::{Aperture, Bins};
+use super::{Model, Task, radius_m, tuning};
+use crate::signal::planes::Planes;
+use crate::signal::samples::Samples;
+use nalgebra::Vector3;
+
+/// Times are shifted by so much at most, seconds, and so finely.
+const REACH_S: f64 = 3.0;
+pub(crate) const STEP_S: f64 = 0.15;
+/// A longer motion is not compared, seconds: it rests or was recorded in parts.
+const LONGEST_S: f64 = 300.0;
+/// Azimuths on either side of the turned one, and their distance, in directions that the motion tells apart.
+const BESIDE: i32 = 3;
+const AZIMUTH_STEP: f64 = 0.5;
+/// Phases are averaged over so many wavelengths and so many seconds at most.
+const BIN_WAVELENGTHS: f64 = 0.15;
+const BIN_S: f64 = 0.06;
+/// Between places so far apart in time the robot is taken to drive straight on, seconds: at 3 m/s^2 it is within 0.4 mm of that.
+const PATH_S: f64 = 0.03;
+
+/// What is needed to compare the clocks of a log and a trajectory.
+#[derive(Clone, Copy)]
+pub(crate) struct Clocks<'a> {
+    /// Of all pairs of the link, seconds on the trajectory's clock.
+    pub times_s: &'a [f64],
+    /// Receiver less transmitter at a time, metres.
+    pub displacement_m: &'a (dyn Fn(f64) -> Option<Vector3<f64>> + Sync),
+}
+
+/// Seconds to be added to the times of the samples: what [`Clocks::logs`] has values for.
+pub(crate) fn offsets_s() -> impl DoubleEndedIterator<Item = f64> + ExactSizeIterator {
+    let steps = (REACH_S / STEP_S).round() as i32;
+    (-steps..steps + 1).map(|k| f64::from(k) * STEP_S)
+}
+
+impl Clocks<'_> {
+    /// `ln` of the likelihood of a place, metres from the motion's middle, turned with the motion, at each of [`offsets_s`]. `rows` are all
+    /// pairs of the link, as round trips or one-way channels: a path's phase is so many times in them.
+    pub(super) fn logs(
+        &self,
+        task: &Task<'_>,
+        (rows, gain): (&[Planes], u8),
+        model: &Model,
+        (middle_m, place): (Vector3<f64>, Place),
+    ) -> Vec<f64> {
+        let samples = task.samples;
+        let wavelength_m = samples.wavelength_m();
+        let times_s = samples.t_s().iter().copied();
+        let (from_s, to_s) = (times_s.clone().fold(f64::MAX, f64::min), times_s.fold(f64::MIN, f64::max));
+        if to_s - from_s > LONGEST_S {
+            return Vec::new();
+        }
+        let is_near = |t_s: &f64| (from_s - REACH_S..=to_s + REACH_S).contains(t_s);
+        let (times_s, rows): (Vec<f64>, Vec<&Planes>) =
+            self.times_s.iter().zip(rows).filter(|(t_s, _)| is_near(t_s)).unzip();
+        // Beyond the trajectory the robot is taken to stand, in its gaps to drive on evenly.
+        let point = |t_s: f64| {
+            let point = (self.displacement_m)(t_s).unwrap_or_else(|| between(samples, t_s)) - middle_m;
+            if model.prior.is_signed() { point } else { Vector3::new(point.x, point.y, 0.0) }
+        };
+        let path = Path::new([from_s - 2.0 * REACH_S, to_s + 2.0 * REACH_S], point);
+        let at = |t_s: f64| path.at(t_s);
+        let points: Vec<Vector3<f64>> = times_s.iter().map(|t_s| at(*t_s)).collect();
+        let bins = Bins::of_way_and_time((BIN_WAVELENGTHS * wavelength_m, &points), (BIN_S, &times_s));
+        let own = bins.points_m(&points);
+        let path_m: f64 = own.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+        let independent = (2.0 * path_m * f64::from(samples.path_gain()) / wavelength_m).min(bins.len() as f64);
+        let mut apertures = vec![Aperture::of_subcarriers(rows.iter().copied(), &bins, gain, task.tier)];
+        if gain == 1 && samples.path_gain() == 2 {
+            let squares: Vec<Planes> = rows.iter().map(|row| row.times(row)).collect();
+            apertures.push(Aperture::of_subcarriers(squares.iter(), &bins, 2, task.tier));
+        }
+        let mut field = Field::new(&own, apertures, wavelength_m, independent, tuning::WINDOW_LENGTHS, task.tier);
+        let times_s = bins.means_of(&times_s);
+        let apart_rad = wavelength_m / f64::from(samples.path_gain()) / radius_m(&model.points);
+        let log = |offset_s: f64| {
+            let shifted: Vec<Vector3<f64>> = times_s.iter().map(|t_s| at(t_s + offset_s)).collect();
+            let azimuth = place.azimuth + turn_rad(&own, &shifted);
+            let beside = |k: i32| Place { azimuth: azimuth + f64::from(k) * AZIMUTH_STEP * apart_rad, ..place };
+            let places: Vec<Place> = (-BESIDE..=BESIDE).map(|k| model.prior.at_height(beside(k))).collect();
+            field.set_points(&shifted);
+            log_sum(&field.log_likelihoods(&places))
+        };
+        offsets_s().map(log).collect()
+    }
+}
+
+/// A path in equal steps of time.
+struct Path {
+    from_s: f64,
+    points: Vec<Vector3<f64>>,
+}
+
+impl Path {
+    fn new([from_s, to_s]: [f64; 2], point: impl Fn(f64) -> Vector3<f64>) -> Self {
+        let count = ((to_s - from_s) / PATH_S).ceil() as usize + 1;
+        Self { from_s, points: (0..=count).map(|k| point(from_s + PATH_S * k as f64)).collect() }
+    }
+
+    fn at(&self, t_s: f64) -> Vector3<f64> {
+        let steps = ((t_s - self.from_s) / PATH_S).max(0.0);
+        let k = (steps as usize).min(self.points.len() - 2);
+        self.points[k] + (self.points[k + 1] - self.points[k]) * (steps - k as f64).min(1.0)
+    }
+}
+
+/// The displacement at a time between samples, metres; before and after them, the nearest one.
+fn between(samples: &Samples, t_s: f64) -> Vector3<f64> {
+    let at = |k: usize| samples.receiver_m()[k] - samples.transmitter_m()[k];
+    let times_s = samples.t_s();
+    let next = times_s.partition_point(|own| *own < t_s);
+    match (next.checked_sub(1), times_s.get(next)) {
+        (Some(last), Some(next_s)) => {
+            let share = (t_s - times_s[last]) / (next_s - times_s[last]);
+            at(last) + (at(next) - at(last)) * share
+        }
+        (Some(last), None) => at(last),
+        (None, _) => at(0),
+    }
+}
+
+/// By how much a motion is turned about the vertical against another, by least squares over its steps, radians. Where either rests, it
+/// tells nothing.
+fn turn_rad(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> f64 {
+    let (mut along, mut across) = (0.0, 0.0);
+    for (from, to) in from.windows(2).zip(to.windows(2)) {
+        let (from, to) = (from[1] - from[0], to[1] - to[0]);
+        along += from.x * to.x + from.y * to.y;
+        across += from.x * to.y - from.y * to.x;
+    }
+    across.atan2(along)
+}
