@@ -366,6 +366,8 @@ def test_a_baseline_is_of_the_antennas_in_their_order() -> None:
         assert bearing.azimuth_deg == pytest.approx(truth_deg, abs=1.5), antennas
     (own,) = room.bearings(antennas="AB", baseline=(0.1, 0, 0))
     assert own.azimuth_deg == pytest.approx(truth_deg, abs=1.5)
+    with pytest.raises(csi5300.OptionError, match="antenna: 'B' is not A, which alone sends"):
+        room.bearings(antenna="B")
     with pytest.raises(csi5300.OptionError, match="antenna A is named twice"):
         room.bearings(antennas="AA", baseline=(0.1, 0, 0))
     others: dict[str, Any] = {"camera_mount": np.zeros(3), "every": 0.0, "range_min": 0.0, "tx_trajectory": np.zeros((2, 4))}

@@ -80,6 +80,8 @@ class Room:
         own = self[rx or self.initiators[0]]
         if own.path is None:
             raise OptionError("a scene too short for a path has no bearing")
+        if str(options.get("antenna") or "A").upper() != "A":
+            raise OptionError(f"antenna: {options['antenna']!r} is not A, which alone sends in rooms and whose paths these are")
         others = [robot for robot in self.robots if robot is not own]
         options.setdefault("channel", self.channel)
         options.setdefault("columns", "t,x,y,z,yaw")
