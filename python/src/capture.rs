@@ -135,7 +135,11 @@ fn poses(rows: &PyReadonlyArray2<'_, f64>, columns: Option<&Columns>) -> Result<
     };
     if columns.is_none() && rows.ncols() == 5 {
         let whole = |value: &f64| value.fract() == 0.0 && (0.0..1e9).contains(value);
-        if rows.column(1).iter().all(whole) && !rows.column(4).iter().all(|heading| heading.is_nan()) {
+        let stands = |column: usize| rows.column(column).iter().all(|value| rows.get((0, column)) == Some(value));
+        // Who only turns has the same x, y and z throughout; as a file's columns that would be a robot that only rises.
+        let only_turns = stands(1) && stands(2) && stands(3) && !stands(4);
+        let has_heading = !rows.column(4).iter().all(|heading| heading.is_nan());
+        if rows.column(1).iter().all(whole) && has_heading && !only_turns {
             let why = "the second column is whole, as x seldom is and nanoseconds are".to_owned();
             return Err(CsvError::Ambiguous { why, readings: ["t,x,y,z,yaw", "t,ns,x,y,z"].map(str::to_owned) });
         }
@@ -294,7 +298,10 @@ pub fn one_log(
 /// Antennas and baselines, with the constants of their chains.
 fn array(letters: &str, baselines: &[Vec<f64>]) -> Result<Array, Failure> {
     let wrong = |why: String| Failure::new(Kind::Option, why);
-    let antennas = antennas(letters).ok_or_else(|| wrong(format!("antennas: {letters:?} are not of A, B and C")))?;
+    // In the caller's order, which the baselines follow.
+    let one = |letter: char| antennas(letter.encode_utf8(&mut [0; 4])).and_then(|antennas| antennas.first().copied());
+    let named: Option<Vec<_>> = letters.chars().filter(|letter| !matches!(letter, ',' | ' ')).map(one).collect();
+    let antennas = named.ok_or_else(|| wrong(format!("antennas: {letters:?} are not of A, B and C")))?;
     let (mut metres, mut constants) = (Vec::new(), Vec::new());
     for baseline in baselines {
         let (place, angles) =

@@ -6,20 +6,27 @@ use crate::pool::{build, pool};
 use csi5300::motion::pose::Mount;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
-use csi5300_lab::evaluate::{Capture, TrajectorySource, find};
+use csi5300_lab::evaluate::{Capture, Loose, TrajectorySource, find};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// The captures below a folder (place, stamp, folder, names and logs of the transmitters), and the unreadable folders.
-type Found = (Vec<(String, String, PathBuf, Vec<(String, PathBuf)>)>, Vec<String>);
+/// The receiver's log and trajectory, if their names are not the usual ones.
+type LooseFiles = Option<(PathBuf, PathBuf)>;
+
+/// A capture: place, stamp, folder, names and logs of the transmitters, and [`LooseFiles`].
+type Parts = (String, String, PathBuf, Vec<(String, PathBuf)>, LooseFiles);
+
+/// The captures below a folder, and the unreadable folders.
+type Found = (Vec<Parts>, Vec<String>);
 
 /// Finds captures, in order of name.
 #[pyfunction]
 pub fn find_captures(py: Python<'_>, root: PathBuf) -> PyResult<Found> {
     interruptible(py, &Stop::default(), move || {
         let (captures, unreadable) = find(&root);
-        let parts = |c: Capture| (c.place, c.stamp, c.folder, c.transmitters);
+        let loose = |own: Box<Loose>| (own.log, own.trajectory);
+        let parts = |c: Capture| (c.place, c.stamp, c.folder, c.transmitters, c.loose.map(loose));
         Ok((captures.into_iter().map(parts).collect(), unreadable))
     })
 }
@@ -68,19 +75,22 @@ impl Run {
 /// Evaluates one capture with each set of options; returns JSON with `rows`, `notes` and `lost` for each.
 /// `cancel` ends it early.
 #[pyfunction]
-#[pyo3(signature = (place, stamp, folder, transmitters, runs, cancel=None))]
+#[pyo3(signature = (place, stamp, folder, transmitters, loose, runs, cancel=None))]
+#[allow(clippy::too_many_arguments)]
 pub fn evaluate_capture(
     py: Python<'_>,
     place: String,
     stamp: String,
     folder: PathBuf,
     transmitters: Vec<(String, PathBuf)>,
+    loose: LooseFiles,
     runs: Vec<(String, String)>,
     cancel: Option<PyRef<'_, Cancel>>,
 ) -> PyResult<Vec<String>> {
     let runs = runs.iter().map(|(trajectory, keywords)| Run::new(trajectory, keywords));
     let runs = runs.collect::<Result<Vec<_>, _>>()?;
-    let capture = Capture { place, stamp, folder, transmitters, ..Capture::default() };
+    let loose = loose.map(|(log, trajectory)| Box::new(Loose { log, trajectory }));
+    let capture = Capture { place, stamp, folder, transmitters, loose, ..Capture::default() };
     let stop = cancel.map(|cancel| cancel.0.clone()).unwrap_or_default();
     let asked = stop.clone();
     interruptible(py, &stop, move || {

@@ -95,6 +95,50 @@ def test_arrays_are_read_like_files_or_refused(rx: Path, tx: Path, path_csv: Pat
         csi5300.bearings(rx, tx, trajectory=named, channel=108, columns="t,x")
 
 
+def test_masked_rows_and_tables_are_taken_for_what_they_say(rx: Path, tx: Path, path_csv: Path) -> None:
+    track = csi5300.read_trajectory(path_csv)[:, :4]
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=track, channel=108)
+    masked = np.ma.masked_array(track.copy(), mask=False)
+    masked[100:110, 1:] += 5.0
+    masked[100:110, 1:] = np.ma.masked
+    with pytest.warns(UserWarning, match="10 rows skipped, the first in line 101: column 2"):
+        (kept,) = csi5300.bearings(rx, tx, trajectory=masked, channel=108)
+    (skipped,) = csi5300.bearings(rx, tx, trajectory=np.delete(track, range(100, 110), axis=0), channel=108)
+    assert kept.answer == skipped.answer
+    pandas = pytest.importorskip("pandas")
+    table = pandas.DataFrame(track, columns=["t", "x", "y", "z"])
+    turned = {"t": table.t, "x": 0.0 * table.x, "y": table.x, "yaw": 0.0 * table.x}
+    for own, columns in (
+        (table[["y", "x", "t", "z"]], None),
+        (table.drop(columns="z"), None),
+        (table.assign(t=pandas.to_datetime(table.t, unit="s")), None),
+        (table[["y", "x", "t"]], "y,x,t"),
+        (pandas.DataFrame(track), None),
+    ):
+        (same,) = csi5300.bearings(rx, tx, trajectory=own, channel=108, columns=columns)
+        assert same.azimuth_deg == pytest.approx(bearing.azimuth_deg, abs=1e-3), list(own.columns)
+    # x is 0 throughout, and cannot be taken for nanoseconds.
+    (line,) = csi5300.bearings(rx, tx, trajectory=pandas.DataFrame(turned), channel=108)
+    assert line.answer["geometry"] == "along a line"
+    for wrong in (table.set_index("t"), table.rename(columns={"t": "time"}), table.assign(t=pandas.to_datetime(table.t, unit="s", utc=True))):
+        with pytest.raises(csi5300.TrajectoryError, match="^trajectory: "):
+            csi5300.bearings(rx, tx, trajectory=wrong, channel=108)
+
+
+def test_one_transmitter_that_moves_needs_no_list(rx: Path, tx: Path, path_csv: Path) -> None:
+    track = csi5300.read_trajectory(path_csv)[:, :4]
+    track[:, 1:] *= -1.0
+    (listed,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, tx_trajectory=[track])
+    (alone,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, tx_trajectory=track)
+    (still,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, tx_trajectory=None)
+    (stands,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
+    assert listed.answer == alone.answer != stands.answer == still.answer
+    (parallel,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, tx_trajectory=path_csv)
+    assert "spans 0.000000 m" in str(parallel.error)
+    with pytest.raises(csi5300.OptionError, match="tx_trajectory: more than tx"):
+        csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, tx_trajectory=[track, track])
+
+
 def test_options_match_the_command_line(rx: Path, tx: Path, path_csv: Path) -> None:
     (full,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     (lean,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, without="near-field", threads=1)
@@ -250,6 +294,28 @@ def test_a_room_has_its_bearing() -> None:
     assert csi5300.simulate(scene)["tx"].data == room["tx"].data, "NumPy's values are values"
 
 
+def test_a_room_knows_that_transmitters_move() -> None:
+    clock = {"offset_s": 3.0, "drift_ppm": 20.0}
+    line = {"length_m": 1.0, "duration_s": 5.0}
+    scene = {
+        "duration_s": 6.0,
+        "sounding": {"rate_hz": 100.0},
+        "radio": {"phase_noise_rad": 0.1},
+        "robot": [
+            {"name": "rx", "motion": {"circle": {"radius_m": 0.3, "duration_s": 6.0}}},
+            {"name": "tx", "position_m": [3.0, 5.0, 0.0], "motion": {"line": line}, "host_clock": clock},
+            {"name": "still", "position_m": [-3.0, 4.0, 0.0]},
+        ],
+    }
+    room = csi5300.simulate(scene)
+    for bearing, name in zip(room.bearings(), ("tx", "still"), strict=True):
+        assert bearing.azimuth_deg == pytest.approx(room.true_azimuth_deg(name), abs=1.5), name
+    (back, _) = room.bearings(rx="tx")
+    assert back.azimuth_deg == pytest.approx(room.true_azimuth_deg("rx", "tx"), abs=1.5)
+    (alone, _) = room.bearings(tx_trajectory=None)
+    assert abs(alone.azimuth_deg - room.true_azimuth_deg("tx")) > 10, "a path that the caller gives, or None, is kept"
+
+
 def test_one_log_has_the_bearing_of_every_sender() -> None:
     turn = {"circle": {"radius_m": 0.0, "duration_s": 5.0}}
     rx: dict[str, Any] = {"name": "rx", "position_m": [0.3, 0.2, 0.0], "antenna_b_m": [-0.025, 0.0, 0.0], "motion": turn}
@@ -284,6 +350,30 @@ def test_one_log_has_the_bearing_of_every_sender() -> None:
     for name, value in (of_two_robots | {"without": ["alignment"]}).items():
         with pytest.raises(csi5300.OptionError, match=f"{name}: not allowed with baseline"):
             csi5300.bearings(room["rx"].log, baseline=(0.025, 0, 0), **still, **{name: value})
+
+
+def test_a_baseline_is_of_the_antennas_in_their_order() -> None:
+    room = csi5300.simulate("two-antennas")
+    truth_deg = room.true_azimuth_deg("tx")
+    # The robot turns at the origin: x, y and z of its path are 0.
+    path = room["rx"].path
+    assert path is not None
+    cases: list[tuple[Any, Any]] = [("AB", (0.1, 0, 0)), ("B,A", (-0.1, 0, 0)), (["B", "A"], np.array([[-0.1, 0.0, 0.0]]))]
+    for antennas, baseline in cases:
+        (bearing,) = csi5300.bearings(
+            room["rx"].log, trajectory=path, channel=108, antennas=antennas, baseline=baseline
+        )
+        assert bearing.azimuth_deg == pytest.approx(truth_deg, abs=1.5), antennas
+    (own,) = room.bearings(antennas="AB", baseline=(0.1, 0, 0))
+    assert own.azimuth_deg == pytest.approx(truth_deg, abs=1.5)
+    with pytest.raises(csi5300.OptionError, match="antenna: 'B' is not A, which alone sends"):
+        room.bearings(antenna="B")
+    with pytest.raises(csi5300.OptionError, match="antenna A is named twice"):
+        room.bearings(antennas="AA", baseline=(0.1, 0, 0))
+    others: dict[str, Any] = {"camera_mount": np.zeros(3), "every": 0.0, "range_min": 0.0, "tx_trajectory": np.zeros((2, 4))}
+    for name, value in others.items():
+        with pytest.raises(csi5300.OptionError, match=f"{name}: not allowed with baseline"):
+            room.bearings(antennas="AB", baseline=(0.1, 0, 0), rx="rx", **{name: value})
 
 
 def test_stock_logs_in_memory_keep_senders_and_numbers(rx: Path) -> None:
@@ -322,6 +412,19 @@ def test_a_tree_is_evaluated() -> None:
         csi5300.evaluate(CIRCLE.parent.parent / "checks")
     with pytest.raises(csi5300.OptionError, match="nonsense"):
         csi5300.evaluate(CIRCLE, nonsense=1)
+
+
+def test_a_folder_without_usual_names_is_evaluated(tmp_path: Path) -> None:
+    names = {"csi_rx": "mine.dat", "csi_tx1": "tx1.dat", "rx_trajectory": "drive.csv", "groundtruth": "groundtruth_positions.json"}
+    for file in CIRCLE.iterdir():
+        for start, name in names.items():
+            if file.name.startswith(start):
+                (tmp_path / name).write_bytes(file.read_bytes())
+    (row,) = csi5300.evaluate(tmp_path)
+    (usual,) = csi5300.evaluate(CIRCLE)
+    for name in ("azimuth_deg", "error_from_mean_pose_deg"):
+        assert row[name] == usual[name], row
+    assert (row["link"], row["capture"]) == ("tx1", tmp_path.name)
 
 
 def test_an_evaluation_is_a_table() -> None:

@@ -64,3 +64,6 @@ def test_a_log_of_the_5300_is_not_of_another_card(rx: Path) -> None:
         csi5300.read_card(rx)
     with pytest.raises(csi5300.LogError, match="cannot read"):
         csi5300.read_card(rx.with_name("none.csi"))
+    # A file opened as text is no path with that text.
+    with rx.open(encoding="latin-1") as text, pytest.raises(csi5300.LogError, match="binary mode"):
+        csi5300.read_card(text)  # type: ignore[arg-type]

@@ -73,7 +73,8 @@ def test_frames_with_fewer_streams_are_skipped_and_a_sender_can_be_chosen(rx: Pa
     assert len(get_reader(rx).read_file(rx, filter_mac=sender).frames) == int((log.mac == sender).sum())
     narrow = data.frames[1]
     narrow.csi_matrix, narrow.n_rx = narrow.csi_matrix[:, :0], 0
-    assert len(csitools.get_CSI(data)[0]) == len(log) - 1 == len(data.timestamps)
+    for metric in ("amplitude", "phase"):
+        assert len(csitools.get_CSI(data, metric)[0]) == len(log) - 1 == len(data.timestamps)
 
 
 def test_another_kind_of_file_is_an_error_that_names_it(tmp_path: Path) -> None:

@@ -92,6 +92,15 @@ def test_remote_files(tree: Path) -> None:
     memory.put(str(tree), "/bucket/data", recursive=True)
     result = csi5300.ray.evaluate("memory://bucket/data", use_ray=False, workers=2)
     assert _without_texts(result) == _without_texts(csi5300.evaluate(tree))
+    # The names of [paper].
+    run = tree.parent / "paper"
+    run.mkdir()
+    for file in CIRCLE.iterdir():
+        name = file.name.replace(STAMP, "run").replace("csi_tx1_", "csi_tx_").replace("rx_trajectory_run_", "rx_movement_run")
+        (run / name).write_bytes(file.read_bytes())
+    memory.put(str(run), "/bucket/paper", recursive=True)
+    (row,) = csi5300.ray.evaluate("memory://bucket/paper", use_ray=False)
+    assert row["azimuth_deg"] is not None and _rows(csi5300.evaluate(run)) == [row]
 
 
 def _through_s3(tree: Path, bucket: str, use_ray: bool) -> None:

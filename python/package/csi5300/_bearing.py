@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,8 +23,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Source: TypeAlias = "File | Log"
-Track: TypeAlias = "str | os.PathLike[str] | NDArray[np.floating[Any]] | Sequence[Sequence[float]]"
-"""A trajectory: a file, or an array (n, 4) of seconds, x, y, z (metres), or (n, 5) with heading (radians); any with ``columns``."""
+
+
+class Table(Protocol):
+    """A table of pandas or polars."""
+
+    @property
+    def columns(self) -> Iterable[Any]:
+        """Its headings."""
+
+    def __getitem__(self, heading: str, /) -> Any:
+        """A column."""
+
+    def __len__(self) -> int:
+        """Its rows."""
+
+
+Track: TypeAlias = "str | os.PathLike[str] | NDArray[np.floating[Any]] | Sequence[Sequence[float]] | Table"
+"""A trajectory: a file, or an array (n, 4) of seconds, x, y, z (metres), or (n, 5) with heading (radians); any with ``columns``. A
+table has the headings t, x, y and, if known, z, yaw. Masked rows are skipped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,9 +225,29 @@ def _logs(tx: Source | Sequence[Source]) -> list[Source]:
     return [alone] if one else list(alone)
 
 
-def _track(name: str, track: Track) -> Any:
+def _by_headings(name: str, table: Any) -> list[Any]:
+    """The columns of a table (pandas, polars) in the order of arrays, by their headings."""
+    headings = [str(heading) for heading in table.columns]
+    if not {"t", "x", "y"} <= set(headings) <= {"t", "x", "y", "z", "yaw"} or len(set(headings)) < len(headings):
+        words = f"a table with the headings {', '.join(headings)}: name them t, x, y, z, yaw (seconds, metres, radians)"
+        raise TrajectoryError(f"{name}: {words}, or give their order as columns=")
+    columns: list[Any] = [np.asarray(table[own]) if own in headings else np.zeros(len(table)) for own in ("t", "x", "y", "z")]
+    if columns[0].dtype.kind == "M":
+        columns[0] = (columns[0] - np.datetime64(0, "s")) / np.timedelta64(1, "s")
+    if "yaw" in headings:
+        # With nanoseconds, as in files: nobody can take x for these.
+        columns = [columns[0], np.zeros(len(table)), *columns[1:], np.asarray(table["yaw"])]
+    return list(zip(*columns, strict=True))
+
+
+def _track(name: str, track: Track, named: bool) -> Any:
     if isinstance(track, (str, os.PathLike)):
         return track
+    if isinstance(track, np.ma.MaskedArray):
+        # What is under a mask is no measurement: such rows are skipped.
+        track = np.ma.filled(track.astype(np.float64), np.nan)
+    elif not named and any(isinstance(heading, str) for heading in getattr(track, "columns", ())):
+        track = _by_headings(name, track)
     needed = "a path, or rows of 4 or 5 numbers: seconds, x, y, z (metres), heading (radians), or others that columns= names"
     try:
         rows = np.asarray(track, dtype=np.float64)
@@ -220,6 +257,17 @@ def _track(name: str, track: Track) -> Any:
         what = "None" if track is None else f"an array of shape {rows.shape}"
         raise TrajectoryError(f"{name}: {what} is not a trajectory: {needed}")
     return np.ascontiguousarray(rows)
+
+
+def _tracks(tracks: Any) -> list[Any]:
+    """One trajectory, or a list with one for each transmitter."""
+    alone = isinstance(tracks, (str, os.PathLike)) or (not isinstance(tracks, (list, tuple)) and np.ndim(tracks) == 2)
+    return [tracks] if alone else list(() if tracks is None else tracks)
+
+
+def _is_given(value: Any) -> bool:
+    plain = _options.plain(value)
+    return not (plain is None or plain is False or (hasattr(plain, "__len__") and len(plain) == 0))
 
 
 def _name(log: Source, index: int) -> str:
@@ -242,7 +290,7 @@ def bearings(
     *,
     trajectory: Track,
     channel: int | str,
-    tx_trajectory: Sequence[Track | None] = (),
+    tx_trajectory: Track | Sequence[Track | None] | None = (),
     antenna: str | None = None,
     clock_offset: float | None = None,
     elevation_max: float | None = None,
@@ -298,11 +346,11 @@ def bearings(
         of_two |= {"camera_mount": camera_mount, "explain": explain, "every": every, "fit": fit}
         of_two |= {"range_change": range_change, "range_min": range_min, "no_compensation": no_compensation}
         of_two["without"] = set(_options.texts("without", without or ())) - {"elevation", "near-field"}
-        wrong = [name for name, value in of_two.items() if value]
+        wrong = [name for name, value in of_two.items() if _is_given(value)]
         if wrong:
             raise OptionError(f"{wrong[0]}: not allowed with baseline, which uses one robot's own log")
         letters = _options.letters(antennas) or "AB"
-        own = _track("trajectory", trajectory)
+        own = _track("trajectory", trajectory, columns is not None)
         found = _native.one_log(_source(rx), _name(rx, 0), own, letters, _baselines(baseline), _options.keywords(options))
         return [Bearing(json.loads(answer), link) for answer, link, _ in found]
     if antennas is not None:
@@ -310,11 +358,12 @@ def bearings(
     logs = [] if tx is None else _logs(tx)
     if not logs:
         raise OptionError("tx: name the other robot's log; for a bearing from one log, give antennas and baseline")
-    if len(tx_trajectory) > len(logs):
+    tracks = _tracks(tx_trajectory)
+    if len(tracks) > len(logs):
         raise OptionError("tx_trajectory: more than tx")
     names = [_name(log, index) for index, log in enumerate(logs)]
-    tracks = [None if track is None else _track("tx_trajectory", track) for track in tx_trajectory]
-    own = _track("trajectory", trajectory)
+    moved = [None if track is None else _track("tx_trajectory", track, columns is not None) for track in tracks]
+    own = _track("trajectory", trajectory, columns is not None)
     sources = [_source(log) for log in logs]
-    found = _native.bearings(_source(rx), sources, names, own, tracks, _options.keywords(options))
+    found = _native.bearings(_source(rx), sources, names, own, moved, _options.keywords(options))
     return [Bearing(json.loads(answer), link, [json.loads(one) for one in own]) for answer, link, own in found]

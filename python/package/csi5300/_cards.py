@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _native, _options
+from ._errors import LogError
 from ._log import File, _file
 
 
@@ -88,6 +89,9 @@ def read_card(file: File, *, macs: str | Iterable[str] | None = None) -> CardLog
     Raises :class:`LogError` if the file cannot be read, or is none of these kinds.
     """
     data = _file(file)
-    data = data if isinstance(data, (str, bytes, os.PathLike)) else data.read()
+    if not isinstance(data, (str, bytes, os.PathLike)):
+        data = data.read()
+        if not isinstance(data, bytes):
+            raise LogError('read() of the file object returned no bytes: open it in binary mode ("rb")')
     format, counts, fields = _native.read_card(data, _options.macs(macs))
     return CardLog("bytes" if isinstance(data, bytes) else os.fspath(data), format, counts, fields)

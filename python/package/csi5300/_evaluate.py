@@ -42,11 +42,13 @@ class Capture:
     stamp: str
     folder: str
     transmitters: list[tuple[str, str]]
+    loose: tuple[str, str] | None = None
+    """The receiver's log and trajectory, if their names are not the usual ones."""
 
     @property
     def name(self) -> str:
-        """Its folder relative to the evaluated one, and its time stamp."""
-        return "/".join(part for part in (self.place, self.stamp) if part)
+        """Its folder relative to the evaluated one, and its time stamp; of files without usual names the folder's name."""
+        return "/".join(part for part in (self.place, self.stamp) if part) or os.path.basename(os.path.abspath(self.folder))
 
 
 @dataclass
@@ -166,8 +168,8 @@ def find(root: str | os.PathLike[str]) -> tuple[list[Capture], list[str]]:
     """Captures below a folder, in order of name, and folders that could not be read."""
     found, unreadable = _native.find_captures(root)
     captures = [
-        Capture(place, stamp, os.fspath(folder), [(name, os.fspath(log)) for name, log in logs])
-        for place, stamp, folder, logs in found
+        Capture(place, stamp, os.fspath(folder), [(name, os.fspath(log)) for name, log in logs], loose)
+        for place, stamp, folder, logs, loose in found
     ]
     return captures, list(unreadable)
 
@@ -218,7 +220,7 @@ def one(
     swept = list(swept)
     done = Evaluation()
     try:
-        parts = (capture.place, capture.stamp, capture.folder, capture.transmitters)
+        parts = (capture.place, capture.stamp, capture.folder, capture.transmitters, capture.loose)
         found = _native.evaluate_capture(*parts, [_run(options) for options in runs], cancel)
         results = [json.loads(result) for result in found]
     except OptionError:

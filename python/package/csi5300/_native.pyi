@@ -162,12 +162,13 @@ def one_log(
 def read_trajectory(path: str | os.PathLike[str], columns: str | None = None) -> NDArray[np.float64]: ...
 def find_captures(
     root: str | os.PathLike[str],
-) -> tuple[list[tuple[str, str, str, list[tuple[str, str]]]], list[str]]: ...
+) -> tuple[list[tuple[str, str, str, list[tuple[str, str]], tuple[str, str] | None]], list[str]]: ...
 def evaluate_capture(
     place: str,
     stamp: str,
     folder: str,
     transmitters: list[tuple[str, str]],
+    loose: tuple[str, str] | None,
     runs: list[tuple[str, str]],
     cancel: Cancel | None = None,
 ) -> list[str]: ...

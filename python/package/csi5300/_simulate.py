@@ -67,23 +67,37 @@ class Room:
         return len(self.robots)
 
     def true_azimuth_deg(self, tx: str, rx: str | None = None) -> float:
-        """Azimuth from the mean position of ``rx`` (the first initiator) to the start position of ``tx``, degrees."""
-        own, other = self[rx or self.initiators[0]].path, self[tx].start_m
+        """Azimuth from the mean position of ``rx`` (the first initiator) to that of ``tx``, degrees."""
+        own, other = self[rx or self.initiators[0]].path, self[tx].path
         if own is None or other is None:
             raise OptionError("a scene too short for a path has no bearing")
-        towards = other - own[:, 1:4].mean(axis=0)
+        towards = other[:, 1:4].mean(axis=0) - own[:, 1:4].mean(axis=0)
         return float(np.degrees(np.arctan2(towards[1], towards[0])))
 
     def bearings(self, rx: str | None = None, **options: Any) -> list[Bearing]:
-        """Bearings from ``rx`` (the first initiator) to all others, by its true path; options as of :func:`csi5300.bearings`."""
+        """Bearings from ``rx`` (the first initiator) to all others, by their true paths; options as of :func:`csi5300.bearings`, with
+        ``baseline`` from its log alone."""
         own = self[rx or self.initiators[0]]
         if own.path is None:
             raise OptionError("a scene too short for a path has no bearing")
+        if str(options.get("antenna") or "A").upper() != "A":
+            raise OptionError(f"antenna: {options['antenna']!r} is not A, which alone sends in rooms and whose paths these are")
         others = [robot for robot in self.robots if robot is not own]
         options.setdefault("channel", self.channel)
-        options.setdefault("tx_mac", [robot.mac for robot in others])
         options.setdefault("columns", "t,x,y,z,yaw")
+        if options.get("baseline") is not None:
+            return bearings(own.log, trajectory=own.path, **options)
+        options.setdefault("rx_mac", own.mac)
+        options.setdefault("tx_mac", [robot.mac for robot in others])
+        options.setdefault("tx_trajectory", [_moved(robot.path, own.path[:, 0]) for robot in others])
         return bearings(own.log, [robot.log for robot in others], trajectory=own.path, **options)
+
+
+def _moved(path: NDArray[np.float64] | None, seconds: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """A path with another robot's times; None of one that stands. All paths have their rows at the same true times."""
+    if path is None or not np.ptp(path[:, 1:4], axis=0).any():
+        return None
+    return np.column_stack([seconds, path[:, 1:]])
 
 
 def _json(scene: Mapping[str, Any]) -> str:

@@ -105,7 +105,9 @@ class csitools:
         subcarriers, rows, columns = csi_data.frames[0].csi_matrix.shape
         fits = [frame.n_rx >= rows and frame.n_tx >= columns for frame in csi_data.frames]
         whole = [frame.csi_matrix[:, :rows, :columns] for frame, fit in zip(csi_data.frames, fits, strict=True) if fit]
-        csi_data.timestamps = [t for t, fit in zip(csi_data.timestamps, fits, strict=True) if fit]
+        # The first call has shortened them.
+        if len(csi_data.timestamps) == len(fits):
+            csi_data.timestamps = [t for t, fit in zip(csi_data.timestamps, fits, strict=True) if fit]
         csi: NDArray[Any] = np.stack(whole).astype(np.complex128)
         if metric == "amplitude":
             csi = np.abs(csi)

@@ -75,7 +75,7 @@ def _find_remote(uri: str) -> list[_Remote]:
         if "groundtruth_positions.json" not in names:
             continue
         place = posixpath.relpath(folder, root.rstrip("/"))
-        logs = [match for name in names if (match := re.fullmatch(r"csi_(rx|tx\d+)_(.+)\.dat", name))]
+        logs = [match for name in names if (match := re.fullmatch(r"csi_(rx|tx\d*)_(.+)\.dat", name))]
         for stamp in sorted({match[2] for match in logs}):
             transmitters = sorted((m[1], names[m[0]]) for m in logs if m[2] == stamp and m[1] != "rx")
             own = [file for name, file in names.items() if stamp in name or name == "groundtruth_positions.json"]

@@ -204,7 +204,14 @@ impl FolderDraft {
             // A link to a file stays a link.
             let last = if last.is_file() { led_to(&last) } else { last };
             let moved = last.parent().map_or(Ok(()), std::fs::create_dir_all).and_then(|()| take_to(file, &last));
-            moved.map_err(|error| format!("cannot write {}: {error}", last.display()))
+            moved.map_err(|error| format!("cannot write {}: {error}", last.display()))?;
+            // The side file of an older log would give this one other host times.
+            let older = side_path(&last);
+            if !files.contains(&side_path(file)) && older.is_file() {
+                let removed = std::fs::remove_file(&older);
+                removed.map_err(|error| format!("cannot remove the older {}: {error}", older.display()))?;
+            }
+            Ok(())
         })
     }
 }
@@ -343,6 +350,16 @@ mod tests {
         let is_newer = |name: &str| std::fs::read(folder.join(name)).unwrap() == b"newer";
         assert!(folder.join("there").is_symlink() && is_newer("real/a"));
         assert!(!folder.join("device").is_symlink() && is_newer("device"));
+        // A log without a side file takes away that of the older log.
+        let logs = ["x.dat", "x.datstp", "y.dat", "y.datstp"];
+        logs.iter().for_each(|name| std::fs::write(folder.join(name), b"older").unwrap());
+        let draft = FolderDraft::new(&folder).unwrap();
+        ["x.dat", "y.dat", "y.datstp"]
+            .iter()
+            .for_each(|name| std::fs::write(draft.path().join(name), b"newer").unwrap());
+        draft.keep().unwrap();
+        assert!(!folder.join("x.datstp").exists() && is_newer("x.dat") && is_newer("y.datstp"));
+        ["x.dat", "y.dat", "y.datstp"].iter().for_each(|name| std::fs::remove_file(folder.join(name)).unwrap());
         // A link may lead to another file system.
         let far = Path::new("/dev/shm").join(format!("csi5300-links-{}", std::process::id()));
         if std::fs::write(&far, b"").is_ok() {

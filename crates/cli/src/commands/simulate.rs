@@ -3,7 +3,7 @@
 mod compare;
 mod serve;
 
-use super::draft::Draft;
+use super::draft::{Draft, must_not_be_read};
 use super::{InWords, Outcome, Result, Words, print, print_json, progress, some, usage};
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
@@ -157,8 +157,41 @@ pub fn write(scene: &Scene, folder: &Path) -> Words<(Vec<WrittenCapture>, Vec<In
         capture.dir = draft.at_last(&capture.dir);
         capture.logs.iter_mut().for_each(|log| log.path = draft.at_last(&log.path));
     }
+    let stamp = captures.first().map_or("", |capture| capture.stamp.as_str());
+    let earlier = earlier(scene, folder, stamp, draft.path());
     draft.keep()?;
+    for path in earlier.into_iter().filter(|path| path.exists()) {
+        std::fs::remove_file(&path).map_err(|error| format!("cannot remove the older {}: {error}", path.display()))?;
+    }
     Ok((captures, room.injected()))
+}
+
+/// Logs, their side files and trajectories that an earlier run with the same time stamp left in the folder and this one does
+/// not replace. Readers would take them for parts of this one.
+fn earlier(scene: &Scene, folder: &Path, stamp: &str, written: &Path) -> Vec<PathBuf> {
+    let names = scene.robot.iter().map(|robot| robot.name.as_str());
+    let mut found = Vec::new();
+    for below in std::iter::once("").chain(names) {
+        for entry in std::fs::read_dir(folder.join(below)).into_iter().flatten().flatten() {
+            let (name, path) = (entry.file_name(), entry.path());
+            let is_older = name.to_str().is_some_and(|name| is_of_a_room(name, stamp))
+                && path.is_file()
+                && !written.join(below).join(&name).exists();
+            if is_older && must_not_be_read(&path).is_ok() {
+                found.push(path);
+            }
+        }
+    }
+    found
+}
+
+/// True for the names that [`write_dataset`] gives logs, their side files and trajectories.
+fn is_of_a_room(name: &str, stamp: &str) -> bool {
+    let log = name.strip_suffix("stp").unwrap_or(name).strip_prefix("csi_");
+    let log = log.and_then(|rest| rest.strip_suffix(&format!("_{stamp}.dat")));
+    let path = || name.strip_suffix(&format!("_trajectory_{stamp}_.csv"));
+    let robot = log.or_else(path).map(|robot| robot.strip_prefix("odom_").unwrap_or(robot));
+    robot.is_some_and(|robot| robot == "rx" || robot.trim_end_matches(|c: char| c.is_ascii_digit()) == "tx")
 }
 
 /// A line of JSON.

@@ -476,6 +476,37 @@ fn an_evaluation_reports_bad_captures_and_goes_on() {
 }
 
 #[test]
+fn nothing_of_an_earlier_room_is_taken_for_a_part_of_the_new_one() {
+    let folder = Folder::new("earlier");
+    let scene = |more: &str| {
+        format!(
+            "duration_s = 4.0\n[sounding]\nrate_hz = 100\n[radio]\nnoise.snr_db = 20.0\n[[robot]]\nname = \"rx\"\n\
+             motion.circle = {{ radius_m = 0.3, duration_s = 4.0 }}\n[[robot]]\nname = \"tx\"\nposition_m = [3.0, 5.0, 0.0]\n{more}"
+        )
+    };
+    // A transmitter that drives, another robot, and side files with host times.
+    let third =
+        "motion.line = { length_m = 1.0, duration_s = 4.0 }\n[[robot]]\nname = \"b\"\nposition_m = [-3.0, 5.0, 0.0]\n";
+    folder.write("moved.toml", scene(third).as_bytes());
+    folder.write("stands.toml", scene("").as_bytes());
+    folder.says(&["simulate", "moved.toml", "--layout", "stock", "--out", "room"], 0, &[]);
+    folder.write("room/t265_rx_trajectory_2023-11-14_221320_.csv", b"1,2,3\n");
+    folder.says(&["simulate", "stands.toml", "--out", "room", "--force"], 0, &[]);
+    folder.says(&["simulate", "stands.toml", "--out", "fresh"], 0, &[]);
+    let names = |of: &str| {
+        let entries = std::fs::read_dir(folder.0.join(of)).unwrap();
+        let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    };
+    let (mut room, fresh) = (names("room"), names("fresh"));
+    room.retain(|name| !name.starts_with("t265_"));
+    assert_eq!((room, names("room").len()), (fresh, names("fresh").len() + 1), "other programs' files stay");
+    let azimuth = |of: &str| folder.rows(&["bearing", of, "--json"], 0)[0]["azimuth_deg"].as_f64().unwrap();
+    assert!((azimuth("room") - azimuth("fresh")).abs() < 1e-9);
+}
+
+#[test]
 fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
     let folder = Folder::new("compare");
     let text = "duration_s = 4.0\nchannel = 36\n[sounding]\nrate_hz = 100\n[radio]\nnoise.snr_db = 20.0\n[[robot]]\nname = \"rx\"\n\

@@ -271,10 +271,16 @@ impl Check<'_> {
     fn camera(&mut self) {
         let why = match &self.config.odometry {
             _ if self.config.camera_mount.is_none() => return,
-            Odometry::Csv(_) | Odometry::Ros(_) => return,
-            Odometry::Ros2(topic) if topic.antenna_frame.is_none() => return,
-            Odometry::Ros2(_) => {
+            Odometry::Ros2(topic) if topic.antenna_frame.is_some() => {
                 "`antenna_frame` moves poses to the antenna: leave it out, `antenna_offset_m` is where the antenna is"
+            }
+            Odometry::Csv(_) | Odometry::Ros(_) | Odometry::Ros2(_) => {
+                if self.knows(&["antenna_offset_m"]) && self.line("antenna_offset_m").is_none() {
+                    let why = "camera_mount also needs `antenna_offset_m`, from the middle between the wheels; \
+                               [0.0, 0.0, 0.0] is an antenna there";
+                    self.refuse("camera_mount", why);
+                }
+                return;
             }
             Odometry::Opencr(_) => "`opencr` poses are of the wheels already",
             Odometry::Room(_) => "`room` poses are of the robot, not of a camera on it",
@@ -950,7 +956,10 @@ mod tests {
     #[test]
     fn a_mount_needs_poses_of_a_camera() {
         let mounted = |poses: &str| posed(&format!("{MOUNT}\n{poses}"));
-        good(&mounted("odometry.ros2 = { topic = '/odom' }"));
+        // An antenna that nobody placed is not taken for one in the middle between the wheels.
+        let topic = "odometry.ros2 = { topic = '/odom' }";
+        good(&mounted(&format!("antenna_offset_m = [0, 0, 0]\n{topic}")));
+        refused(&mounted(topic), "camera_mount", "also needs `antenna_offset_m`");
         all_refused([
             (
                 "camera_mount",
