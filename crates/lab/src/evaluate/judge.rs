@@ -385,7 +385,6 @@ fn turned_by(trajectory: &Trajectory, turn_rad: f64) -> Result<Trajectory, Traje
 
 /// One or more consecutive parts of a motion that is cut into equally long ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-#[non_exhaustive]
 pub struct Part {
     /// Index of the first part.
     pub index: u32,
