@@ -468,16 +468,16 @@ impl LogIndex {
         let mut reading = Reading::new(Replay::open(path)?, Filter::default()).without_bodies();
         reading.read_all(Instant::ZERO, || true)?;
         let (_, columns) = reading.take();
-        let base = reading.survey.time_base();
+        let base = reading.table.survey.time_base();
         let (senders, sent_by) = numbered(macs(&columns));
         let t_us = times_us(&columns, base);
         let times_s: Vec<f64> = t_us.iter().map(|us| *us as f64 * 1e-6).collect();
         Ok(Self {
             path: path.into(),
             base,
-            bytes: reading.source().bytes(),
-            marks: Marks::of(&columns, &reading.survey, &reading.damaged_after),
-            source: Source::Csitool(Box::new(reading.survey)),
+            bytes: reading.source.bytes(),
+            marks: Marks::of(&columns, &reading.table.survey, &reading.table.damaged_after),
+            source: Source::Csitool(Box::new(reading.table.survey)),
             span_s: span_s(&times_s).unwrap_or_default(),
             gaps_s: gaps(&times_s),
             t_us,
