@@ -103,7 +103,7 @@ fn sustained(folder: &Path, seconds: u64) {
     });
     cpu -= cpu_from;
     let counters = recorder.source().counters();
-    let buffer = recorder.source().receive_buffer();
+    let buffer = recorder.source().receive_buffer;
     let (_, _, totals) = recorder.finish(clock.now()).unwrap();
     println!(
         "sustained: {sent} records of 3x1 sent in {seconds} s ({rate}/s), {} received, {} written, lost: {} (kernel {}, queue {}, disk {}); \
@@ -332,7 +332,7 @@ fn stall(folder: &Path) {
 
     let clock = Monotonic::new();
     let mut own = listener(106_496);
-    let buffer = own.receive_buffer() / 1024;
+    let buffer = own.receive_buffer / 1024;
     done.store(false, Ordering::Release);
     let (sent, kept) = std::thread::scope(|scope| {
         let sending = scope.spawn(|| {

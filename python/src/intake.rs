@@ -7,14 +7,12 @@ use csi5300::source::other_card::Translated;
 use csi5300::source::replay::Replay;
 use csi5300::time::Instant;
 use csi5300_lab::kinds::{A_LOG, not_a_log};
-use csi5300_lab::table::{Advise, Filter, Reading};
-use csi5300_live::sys::advise_large_pages;
+use csi5300_lab::table::{Filter, Reading};
 use driver_iface::record::Tail;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
 use std::io::{self, Cursor, Read};
-use std::mem::MaybeUninit;
 use std::path::PathBuf;
 
 /// A Python object with `read(n)`, such as a file opened with "rb".
@@ -124,7 +122,7 @@ pub fn filter(
 /// # Errors
 /// Never in practice: a survey can always be serialised.
 pub fn info<S: CsiSource>(reading: &Reading<S>, name: &str, bytes: Option<u64>) -> Result<String, Failure> {
-    let survey = &reading.survey;
+    let survey = &reading.table.survey;
     let tail = match survey.tail {
         Some(Tail::Cut { offset, bytes, expected }) => {
             serde_json::json!({ "offset": offset, "bytes": bytes, "expected": expected })
@@ -140,8 +138,8 @@ pub fn info<S: CsiSource>(reading: &Reading<S>, name: &str, bytes: Option<u64>) 
         })
         .collect();
     let json = serde_json::json!({
-        "name": name, "bytes": bytes, "left_out": reading.left_out, "tail": tail, "senders": senders,
-        "lost_something": survey.lost_something(), "first_time_us": reading.first_us(), "survey": survey,
+        "name": name, "bytes": bytes, "left_out": reading.table.left_out, "tail": tail, "senders": senders,
+        "lost_something": survey.lost_something(), "first_time_us": reading.table.first_us, "survey": survey,
     });
     serde_json::to_string(&json).map_err(|error| Failure::new(Kind::Internal, error))
 }
@@ -155,42 +153,24 @@ pub fn is_read_here(file: &Bound<'_, PyAny>) -> PyResult<bool> {
     Ok(file.hasattr("read")? || !file.extract::<PathBuf>()?.is_file())
 }
 
-/// Memory in large pages.
-struct Large;
-
-impl Advise for Large {
-    fn advise<T>(&mut self, memory: &mut [MaybeUninit<T>]) {
-        // Pages of the usual size work, too.
-        let _ = advise_large_pages(memory);
-    }
-}
-
-/// Size of a log in bytes, if known before it is read.
-pub fn size(file: &Bound<'_, PyAny>) -> Option<u64> {
-    if let Ok(bytes) = file.cast::<PyBytes>() {
-        return Some(bytes.as_bytes().len() as u64);
-    }
-    file.extract::<PathBuf>().ok()?.metadata().ok().map(|of| of.len())
-}
-
 /// Reads all of a log of `size` bytes on two threads, interruptibly.
-pub fn read_all(py: Python<'_>, reading: &mut Reading<Replay<Box<dyn Read + Send>>>, size: u64) -> PyResult<()> {
+pub fn read_all(py: Python<'_>, reading: &mut Reading<Replay<Box<dyn Read + Send>>>) -> PyResult<()> {
     let mut signal = Ok(());
     let read = crate::error::detached(py, || {
-        reading.read_sized(Instant::ZERO, size, &mut Large, || {
+        reading.read_all(Instant::ZERO, || {
             signal = Python::attach(|py| py.check_signals());
             signal.is_ok()
         })
     })?;
     signal?;
-    read.map_err(|error| Failure::log(error, reading.source().name(), reading.source().bytes()).into())
+    read.map_err(|error| Failure::log(error, reading.source.name(), reading.source.bytes()).into())
 }
 
 /// Reads up to `limit` records of a log, interruptibly.
 pub fn read_on(py: Python<'_>, reading: &mut Reading<Replay<Box<dyn Read + Send>>>, limit: usize) -> PyResult<()> {
     loop {
         let more = crate::error::detached(py, || reading.burst(Instant::ZERO, limit))?;
-        let more = more.map_err(|error| Failure::log(error, reading.source().name(), reading.source().bytes()))?;
+        let more = more.map_err(|error| Failure::log(error, reading.source.name(), reading.source.bytes()))?;
         py.check_signals()?;
         if !more {
             return Ok(());

@@ -2,7 +2,7 @@
 
 use crate::columns::{arrays, from_arrays};
 use crate::error::{Failure, Kind, Stop, detached, interruptible};
-use crate::intake::{filter, info, is_read_here, open, read_all, read_on, size};
+use crate::intake::{filter, info, is_read_here, open, read_all, read_on};
 use crate::pool::pool;
 use csi5300::signal::csi::{scale_factor, total_rss_dbm};
 use csi5300_lab::export::Export;
@@ -33,43 +33,6 @@ pub fn selected(arena: &Arena, rows: Option<&PyReadonlyArray1<'_, i64>>) -> PyRe
     let known = |row: &i64| usize::try_from(*row).ok().filter(|row| *row < arena.len());
     let rows: Option<Vec<usize>> = rows.as_array().iter().map(known).collect();
     rows.ok_or_else(|| Failure::new(Kind::Option, format!("a row outside of 0 to {}", arena.len())).into())
-}
-
-/// The requested records.
-enum Chosen {
-    /// All of them; their number.
-    All(usize),
-    /// These.
-    Rows(Vec<usize>),
-}
-
-impl Chosen {
-    fn new(arena: &Arena, rows: Option<&PyReadonlyArray1<'_, i64>>) -> PyResult<Self> {
-        match rows {
-            None => Ok(Self::All(arena.len())),
-            some => selected(arena, some).map(Self::Rows),
-        }
-    }
-
-    fn len(&self) -> usize {
-        match self {
-            Self::All(len) => *len,
-            Self::Rows(rows) => rows.len(),
-        }
-    }
-
-    /// The numbers of a stretch of [`PIECE`] records; `counted` is working memory.
-    fn piece<'a>(&'a self, number: usize, counted: &'a mut Vec<usize>) -> &'a [usize] {
-        let (from, to) = (number * PIECE, ((number + 1) * PIECE).min(self.len()));
-        match self {
-            Self::All(_) => {
-                counted.clear();
-                counted.extend(from..to);
-                counted
-            }
-            Self::Rows(rows) => rows.get(from..to).unwrap_or_default(),
-        }
-    }
 }
 
 /// The temporary name of a file: beside it, with the same extension.
@@ -104,7 +67,7 @@ impl Records {
         without_spatial_mapping: bool,
         out: Option<Bound<'py, PyArray4<Complex32>>>,
     ) -> PyResult<Bound<'py, PyArray4<Complex32>>> {
-        let records = Chosen::new(&self.arena, rows.as_ref())?;
+        let records = selected(&self.arena, rows.as_ref())?;
         let ports = antennas(letters).unwrap_or_default();
         if n_tx > 3 {
             return Err(Failure::new(Kind::Option, format!("{n_tx} streams: at most 3")).into());
@@ -122,9 +85,8 @@ impl Records {
         }
         let mut writer = array.try_readwrite().map_err(|error| wrong(error.to_string()))?;
         let out: &mut [Complex32] = writer.as_slice_mut().map_err(|error| wrong(error.to_string()))?;
-        let (pool, mut counted) = (pool()?, Vec::new());
-        for (number, out) in out.chunks_mut(PIECE * shape.len().max(1)).enumerate() {
-            let records = records.piece(number, &mut counted);
+        let pool = pool()?;
+        for (records, out) in records.chunks(PIECE).zip(out.chunks_mut(PIECE * shape.len().max(1))) {
             detached(py, || pool.install(|| decode(&self.arena, records, &shape, form, out)))?;
             py.check_signals()?;
         }
@@ -175,8 +137,8 @@ impl Records {
         let stop = Stop::default();
         let asked = stop.clone();
         interruptible(py, &stop, move || {
-            let export = Export::new(&arena, records, &columns, form).with_antennas(&ports).with_streams(n_tx);
-            let export = export.with_stop(asked.flag());
+            let mut export = Export::new(&arena, records, &columns, form);
+            (export.antennas, export.streams, export.stop) = (ports, n_tx, Some(asked.flag()));
             // Replaces the target of a link, not the link.
             let target = path.canonicalize().unwrap_or_else(|_| path.clone());
             let half = draft(&target);
@@ -276,10 +238,10 @@ pub fn read<'py>(
     if is_read_here(file)? {
         read_on(py, &mut intake, usize::MAX)?;
     } else {
-        read_all(py, &mut intake, size(file).unwrap_or(0))?;
+        read_all(py, &mut intake)?;
     }
     let (arena, columns) = intake.take();
-    let info = info(&intake, intake.source().name(), Some(intake.source().bytes()))?;
+    let info = info(&intake, intake.source.name(), Some(intake.source.bytes()))?;
     let shape = shape(&columns.widest());
     let (records, columns) = Records::new(py, arena, columns)?;
     Ok((records, columns, info, shape))

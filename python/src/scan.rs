@@ -88,7 +88,7 @@ impl Scanner {
     /// Facts about the log so far, as JSON.
     fn info(&mut self) -> PyResult<String> {
         let intake = self.intake.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let source = intake.source();
+        let source = &intake.source;
         Ok(info(intake, source.name(), Some(source.bytes()))?)
     }
 }

@@ -110,7 +110,7 @@ impl Listener {
         {
             let mut intake = self.intake();
             intake.burst(now, MOST).map_err(refused)?;
-            if !intake.arena.is_empty() || over || intake.has_ended() || self.closed.is_asked() {
+            if !intake.table.arena.is_empty() || over || intake.has_ended() || self.closed.is_asked() {
                 return Ok(Some(intake.take()));
             }
         }

@@ -71,8 +71,10 @@ pub struct McapWriter<W> {
     /// Schemas and channels, for the summary.
     described: Vec<u8>,
     schemas: Vec<&'static str>,
-    channels: Vec<Written>,
-    times: Option<(u64, u64)>,
+    /// The topics.
+    pub channels: Vec<Written>,
+    /// Times of the first and the last message, nanoseconds.
+    pub times: Option<(u64, u64)>,
 }
 
 fn text(text: &str, to: &mut Vec<u8>) {
@@ -103,16 +105,6 @@ impl<W: Write> McapWriter<W> {
         let (at, chunk, chunks) = (begin.len() as u64, Chunk::default(), Vec::new());
         let (described, schemas, channels) = (Vec::new(), Vec::new(), Vec::new());
         Ok(Self { to, at, chunk, chunks, described, schemas, channels, times: None })
-    }
-
-    /// The topics.
-    pub fn channels(&self) -> &[Written] {
-        &self.channels
-    }
-
-    /// Times of the first and the last message, nanoseconds.
-    pub fn times(&self) -> Option<(u64, u64)> {
-        self.times
     }
 
     fn channel(&mut self, topic: &str, kind: &'static str, definition: fn() -> String) -> u16 {

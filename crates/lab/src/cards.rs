@@ -41,7 +41,6 @@ fn begun(path: &Path) -> Option<(Format, std::fs::File, Vec<u8>)> {
 
 /// The content of another card's log, as `info --json` prints it.
 #[derive(Clone, Debug, Default, serde::Serialize)]
-#[non_exhaustive]
 pub struct CardSurvey {
     /// Frames with CSI.
     pub frames: u64,

@@ -81,7 +81,6 @@ pub fn letter(antenna: usize) -> char {
 
 /// The meaning of a heat map's rows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct HeatRows {
     /// Index of each subcarrier relative to the channel's centre, lowest first, in units of the spacing; `None` if a 5300's log
     /// has frames of both widths.
@@ -121,7 +120,6 @@ impl HeatRows {
 
 /// CSI of one antenna over time and subcarrier.
 #[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
 pub struct AntennaCourse {
     /// The antenna, from 0 on ([`letter`]).
     pub antenna: usize,
@@ -136,7 +134,6 @@ pub struct AntennaCourse {
 
 /// A log over time.
 #[derive(Clone, Debug, Default, PartialEq)]
-#[non_exhaustive]
 pub struct Course {
     /// Number of records.
     pub records: u64,
@@ -381,7 +378,6 @@ fn times_us(columns: &Columns, base: TimeBase) -> Vec<i64> {
 
 /// Lowest, mean and highest value of each column; `None` for an empty column.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
 pub struct Band {
     /// Lowest value.
     pub min: Vec<Option<i16>>,
@@ -393,7 +389,6 @@ pub struct Band {
 
 /// A stretch of a log in columns of equal width.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
 pub struct Stretch {
     /// Its start, seconds after the log's first record ([`LogIndex::base`]); backward steps of the clock count as zero.
     pub from_s: f64,
@@ -425,7 +420,6 @@ pub struct Stretch {
 
 /// CSI of a stretch of a log.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
 pub struct StretchCsi {
     /// Its start, seconds.
     pub from_s: f64,
@@ -474,16 +468,16 @@ impl LogIndex {
         let mut reading = Reading::new(Replay::open(path)?, Filter::default()).without_bodies();
         reading.read_all(Instant::ZERO, || true)?;
         let (_, columns) = reading.take();
-        let base = reading.survey.time_base();
+        let base = reading.table.survey.time_base();
         let (senders, sent_by) = numbered(macs(&columns));
         let t_us = times_us(&columns, base);
         let times_s: Vec<f64> = t_us.iter().map(|us| *us as f64 * 1e-6).collect();
         Ok(Self {
             path: path.into(),
             base,
-            bytes: reading.source().bytes(),
-            marks: Marks::of(&columns, &reading.survey, &reading.damaged_after),
-            source: Source::Csitool(Box::new(reading.survey)),
+            bytes: reading.source.bytes(),
+            marks: Marks::of(&columns, &reading.table.survey, &reading.table.damaged_after),
+            source: Source::Csitool(Box::new(reading.table.survey)),
             span_s: span_s(&times_s).unwrap_or_default(),
             gaps_s: gaps(&times_s),
             t_us,

@@ -31,6 +31,11 @@ pub mod table;
 /// Why something failed, in words.
 pub type Failure = Box<dyn std::error::Error + Send + Sync>;
 
+/// An angle brought into (-180, 180], degrees.
+fn wrap_deg(angle_deg: f64) -> f64 {
+    csi5300::maths::wrap_rad(angle_deg.to_radians()).to_degrees()
+}
+
 #[cfg(test)]
 mod temporary {
     use std::path::PathBuf;

@@ -78,7 +78,8 @@ pub struct Frames {
 /// Records have FeitCSI's host time. Older versions write none; then records have the frames' host time.
 #[derive(Debug)]
 pub struct FeitCsi<S = Frames> {
-    frames: S,
+    /// The source of the frames.
+    pub frames: S,
     translator: Translator,
     /// Bytes of frames received.
     offset: u64,
@@ -267,16 +268,6 @@ impl<S> FeitCsi<S> {
     pub fn new(frames: S) -> Self {
         let (translator, buffer, stamps) = (Translator::default(), Vec::new(), Stamps::default());
         Self { frames, translator, offset: 0, buffer, given: 0, stamps, number: 0 }
-    }
-
-    /// The source of the frames.
-    pub fn frames(&self) -> &S {
-        &self.frames
-    }
-
-    /// Returns the source of the frames.
-    pub fn into_frames(self) -> S {
-        self.frames
     }
 }
 

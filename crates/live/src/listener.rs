@@ -22,8 +22,8 @@ impl Listener {
     #[must_use]
     pub fn buffer(&self) -> usize {
         match self {
-            Self::Connector(listener) => listener.receive_buffer(),
-            Self::Stock(stock) => stock.ring_bytes(),
+            Self::Connector(listener) => listener.receive_buffer,
+            Self::Stock(stock) => stock.ring_bytes,
         }
     }
 
@@ -32,7 +32,7 @@ impl Listener {
     pub fn describe(&self) -> String {
         let kib = self.buffer() / 1024;
         match self {
-            Self::Connector(listener) => format!("listening {}, receive buffer {kib} KiB", listener.at()),
+            Self::Connector(listener) => format!("listening {}, receive buffer {kib} KiB", listener.at),
             Self::Stock(_) => format!("listening to the packets of the unpatched iwlwifi, ring of {kib} KiB"),
         }
     }
@@ -57,18 +57,6 @@ impl Listener {
 fn lost_of(counters: &StockCounts) -> (u64, u64) {
     let dropped = u64::from(counters.cards.dropped());
     (counters.ring_full + counters.unreadable + counters.missed, dropped + counters.malformed)
-}
-
-impl From<Netlink> for Listener {
-    fn from(listener: Netlink) -> Self {
-        Self::Connector(Box::new(listener))
-    }
-}
-
-impl From<Stock> for Listener {
-    fn from(stock: Stock) -> Self {
-        Self::Stock(Box::new(stock))
-    }
 }
 
 impl CsiSource for Listener {

@@ -123,7 +123,8 @@ impl AirCounts {
 pub struct Monitor {
     socket: OwnedFd,
     interface: String,
-    mac: Option<Mac>,
+    /// The interface's own MAC, if it has one.
+    pub mac: Option<Mac>,
     mtu: usize,
     header_len: usize,
     /// Radiotap header, written once, and room for the longest frame.
@@ -184,12 +185,6 @@ impl Monitor {
             wall_us: options.wall_us,
             counters: AirCounts::default(),
         })
-    }
-
-    /// The interface's own MAC, if it has one.
-    #[must_use]
-    pub fn mac(&self) -> Option<Mac> {
-        self.mac
     }
 
     /// Everything counted so far.

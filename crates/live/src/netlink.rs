@@ -62,8 +62,10 @@ impl Default for Options {
 #[derive(Debug)]
 pub struct Netlink {
     wire: Wire,
-    at: String,
-    receive_buffer: usize,
+    /// Where it listens, in words: the connector indices, and how they were found.
+    pub at: String,
+    /// Granted receive buffer, bytes (the kernel's count, twice the request).
+    pub receive_buffer: usize,
     wall_us: fn() -> Option<i64>,
     host_times: HostTimes,
     intake: Intake,
@@ -141,18 +143,6 @@ impl Netlink {
         let intake = Intake::new(vec![CN_IDX], true);
         let (wire, at, host_times) = (Wire::Room(room), "to a card in a simulated room".into(), HostTimes::default());
         Self { wire, at, receive_buffer, wall_us, host_times, intake }
-    }
-
-    /// Where it listens, in words: the connector indices, and how they were found.
-    #[must_use]
-    pub fn at(&self) -> &str {
-        &self.at
-    }
-
-    /// Granted receive buffer, bytes (the kernel's count, twice the request).
-    #[must_use]
-    pub fn receive_buffer(&self) -> usize {
-        self.receive_buffer
     }
 
     /// Everything counted so far.

@@ -89,7 +89,8 @@ pub struct Stock {
     // The ring before the program, so that the mapping is dropped first.
     ring: RingBuf<MapData>,
     program: Program,
-    ring_bytes: usize,
+    /// Bytes of the ring.
+    pub ring_bytes: usize,
     intake: Intake,
     look_at: Option<Instant>,
     reattached: u64,
@@ -111,12 +112,6 @@ impl Stock {
         let (program, ring) = Program::load(ring_bytes as u32, options.records.frames)?;
         let intake = Intake::new(options.records, options.own);
         Ok(Self { ring, program, ring_bytes, intake, look_at: None, reattached: 0 })
-    }
-
-    /// Bytes of the ring.
-    #[must_use]
-    pub fn ring_bytes(&self) -> usize {
-        self.ring_bytes
     }
 
     /// Everything counted so far; losses after the last event included.

@@ -190,24 +190,6 @@ pub fn set_up(interface: &str, up: bool) -> io::Result<()> {
     answered(unsafe { libc::ioctl(socket.as_raw_fd(), libc::SIOCSIFFLAGS, &raw mut request) })
 }
 
-/// Asks for large pages (MADV_HUGEPAGE) where memory is first written, at the addresses of `memory`: whole pages of it, of which the
-/// kernel backs as many as it can. Contents do not change; a kernel without large pages refuses, and nothing is lost by that. Memory
-/// of less than 2 MiB, the least of them on x86-64, is left alone.
-///
-/// # Errors
-/// The kernel's refusal.
-pub fn advise_large_pages<T>(memory: &mut [std::mem::MaybeUninit<T>]) -> io::Result<()> {
-    const PAGE: usize = 4_096;
-    const LEAST: usize = 2 << 20;
-    let bytes = size_of_val(memory);
-    let start = memory.as_mut_ptr().cast::<u8>();
-    let (before, past) = (start.align_offset(PAGE), (start.addr() + bytes) % PAGE);
-    let Some(len) = bytes.checked_sub(before.saturating_add(past)).filter(|len| *len >= LEAST) else { return Ok(()) };
-    // SAFETY: the range lies inside `memory`, which is borrowed for the call; MADV_HUGEPAGE changes which pages back it, not what is in
-    // it.
-    answered(unsafe { libc::madvise(start.wrapping_add(before).cast::<libc::c_void>(), len, libc::MADV_HUGEPAGE) })
-}
-
 /// For a short command that computes: the calling thread's heap grows by 8 MiB at a time, is kept until the process ends, and is in
 /// large pages (MADV_HUGEPAGE) where the kernel has them. Each page that is new to a process costs it about a microsecond; a
 /// bearing of three links touches some 1,400 of 4 KiB. Every thread that allocates much calls it for itself. Only glibc's heap
@@ -245,7 +227,7 @@ pub(crate) use tests::passes;
 #[cfg(test)]
 mod tests {
     use super::operation::PACKET_TYPE;
-    use super::{Instruction, advise_large_pages, keep_heap};
+    use super::{Instruction, keep_heap};
 
     /// Runs a filter as `linux/filter.h` defines it, as far as ours go; a load beyond the end refuses the packet.
     pub(crate) fn passes(program: &[Instruction], packet: &[u8], packet_type: u32) -> bool {
@@ -278,20 +260,6 @@ mod tests {
             };
             let Some(loaded) = loaded else { return false };
             a = loaded;
-        }
-    }
-
-    #[test]
-    fn memory_in_large_pages_is_written_like_any_other() {
-        for (room, at) in [(5_000_000_usize, 0), (5_000_000, 3), (4_097, 1), (100, 0), (0, 0)] {
-            let mut values: Vec<u64> = Vec::with_capacity(room);
-            values.extend(0..at);
-            // A kernel may have none.
-            let _ = advise_large_pages(values.spare_capacity_mut());
-            values.extend(at..room as u64);
-            assert!(
-                values.iter().enumerate().all(|(k, value)| *value == k as u64) && values.len() == room.max(at as usize)
-            );
         }
     }
 

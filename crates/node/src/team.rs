@@ -15,7 +15,7 @@ use csi5300::maths::wrap_rad;
 use csi5300::pipeline::Bearing;
 use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::Error;
-use csi5300_team::answers::{LINK_OUTLIERS, ways};
+use csi5300_team::answers::{LINK_OUTLIERS, RANGE_OUTLIERS, ways};
 use csi5300_team::{KeyframeId, Mode, OdometryNoise, RobotId, Solution, Team, TeamError, factors};
 use nalgebra::{Matrix3, Rotation2, Vector2, Vector3};
 use serde::Serialize;
@@ -28,8 +28,6 @@ const KEPT: usize = 48;
 const LINKS: usize = 96;
 /// Ranges during a bearing that become links, at these parts of its time: the errors of neighbours are not independent.
 const PARTS: [f64; 2] = [0.25, 0.75];
-/// Share of ranges that are wrong, by reflections.
-const RANGE_OUTLIERS: f64 = 0.1;
 /// Ranges to a peer that are kept for a bearing.
 const RANGES: usize = 1_024;
 /// Bytes of the factors at most: a message of ROS 2 holds 64,000.

@@ -179,7 +179,7 @@ fn write(
         }
     }
     writer.finish()?;
-    std::fs::write(folder.join("metadata.yaml"), metadata(name, writer.times(), writer.channels()))
+    std::fs::write(folder.join("metadata.yaml"), metadata(name, writer.times, &writer.channels))
 }
 
 /// `metadata.yaml` in Humble's version, which all later releases read.

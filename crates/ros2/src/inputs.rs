@@ -5,6 +5,7 @@ use super::link::{Came, Link};
 use super::lock;
 use super::rtps::Qos;
 use crate::settings::{Kind, Topic};
+use csi5300::internal::heading_of;
 use csi5300::motion::odometry::ros::{self, Inbox, Message, Stamp, Wanted, plain};
 use csi5300_bag::messages::{Clock, Header, Imu, Odometry, PoseStamped, TfMessage, TransformStamped};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
@@ -80,7 +81,7 @@ impl Turns {
         // The unit provides no orientation.
         let unknown = imu.orientation_covariance.first() == Some(&-1.0);
         if let Some(turned) = imu.orientation.rotation().filter(|_| !unknown) {
-            self.newest = Some((heading(&turned), received_us));
+            self.newest = Some((heading_of(&turned), received_us));
         }
     }
 
@@ -92,16 +93,11 @@ impl Turns {
             self.offset_rad = None;
             return pose;
         }
-        let own = heading(&pose.rotation);
+        let own = heading_of(&pose.rotation);
         let offset = *self.offset_rad.get_or_insert(own - newest);
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), newest + offset - own);
         Isometry3::from_parts(pose.translation, turn * pose.rotation)
     }
-}
-
-fn heading(rotation: &UnitQuaternion<f64>) -> f64 {
-    let forward = rotation * Vector3::x();
-    forward.y.atan2(forward.x)
 }
 
 /// State that the subscriptions of one source of poses share.

@@ -20,7 +20,7 @@
 //! use csi5300_ros2::{Node, Qos, settings::Settings};
 //!
 //! let node = Node::start(&Settings::default(), "burger", || Some(0))?;
-//! let poses = node.link().publish::<PoseStamped>("~/pose", Qos::reliable(10));
+//! let poses = node.link.publish::<PoseStamped>("~/pose", Qos::reliable(10));
 //! poses.put(&PoseStamped::default());
 //! # Ok::<(), csi5300::source::Error>(())
 //! ```

@@ -373,7 +373,7 @@ impl Link {
         let others = participant.unreachable().map(|who| format!("ROS 2: {who}, so nothing can be sent to it"));
         wrong
             .chain(others)
-            .chain(self.shared.sockets().trouble(participant.counts().participants))
+            .chain(self.shared.sockets().trouble(participant.counts.participants))
             .chain(self.shared.bag.trouble())
             .collect()
     }
@@ -402,7 +402,7 @@ impl Link {
             (topic.name.clone(), counts)
         });
         let subscribed: serde_json::Map<String, serde_json::Value> = subscribed.collect();
-        let (counts, sockets): (Counts, _) = (participant.counts(), self.shared.sockets());
+        let (counts, sockets): (Counts, _) = (participant.counts, self.shared.sockets());
         serde_json::json!({
             "node": self.shared.names.node(),
             "address": sockets.meta_address,

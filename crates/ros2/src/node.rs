@@ -17,6 +17,7 @@ use csi5300_bag::messages::{
     ListParametersResult, MarkerArray, ParameterValue, PoseStamped, PoseWithCovarianceStamped, Range, TfMessage, Time,
     TriggerRequest, TriggerResponse,
 };
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Publishers of one peer.
@@ -28,7 +29,8 @@ struct Peer {
 
 /// A node of ROS 2.
 pub struct Node {
-    link: Link,
+    /// For publishing, subscribing and serving further topics and services.
+    pub link: Link,
     /// The clock of its stamps.
     clock: SimClock,
     settings: Settings,
@@ -61,12 +63,6 @@ impl Node {
         let link = Link::start((names, asked.distribution), (sockets, seek), bag, wall_us).map_err(Error::io(what))?;
         let clock = if asked.use_sim_time { SimClock::follow(&link) } else { SimClock::real() };
         Ok(Self { link, clock, settings: asked, peers: Vec::new(), markers: None, tf: None })
-    }
-
-    /// For publishing, subscribing and serving further topics and services.
-    #[must_use]
-    pub fn link(&self) -> &Link {
-        &self.link
     }
 
     /// Poses of a topic, with the usual time source unless the topic names one.
@@ -164,14 +160,15 @@ impl Node {
 
 /// Starts and stops the recording while the node runs.
 fn serve_recording(link: &Link) {
-    link.serve("~/start_recording", |shared, _: TriggerRequest| match shared.bag.start() {
+    let told = |done: Result<PathBuf, String>| match done {
         Ok(folder) => TriggerResponse { success: true, message: folder.display().to_string() },
-        Err(error) => TriggerResponse { success: false, message: error.to_string() },
+        Err(message) => TriggerResponse { success: false, message },
+    };
+    link.serve("~/start_recording", move |shared, _: TriggerRequest| {
+        told(shared.bag.start().map_err(|error| error.to_string()))
     });
-    link.serve("~/stop_recording", |shared, _: TriggerRequest| match shared.bag.stop() {
-        Some(Ok(folder)) => TriggerResponse { success: true, message: folder.display().to_string() },
-        Some(Err(why)) => TriggerResponse { success: false, message: why },
-        None => TriggerResponse { success: false, message: "there is no recording".into() },
+    link.serve("~/stop_recording", move |shared, _: TriggerRequest| {
+        told(shared.bag.stop().unwrap_or_else(|| Err("there is no recording".into())))
     });
 }
 

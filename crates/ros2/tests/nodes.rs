@@ -36,7 +36,7 @@ fn a_publisher_that_restarted_begins_a_frame() {
     let mut poses = listener.poses(&topic, Stamp::Header);
     let mut until = |wanted: fn(NextPose) -> bool| {
         let base = node("base");
-        let publisher = base.link().publish::<Odometry>("/base/odom", Qos::reliable(10));
+        let publisher = base.link.publish::<Odometry>("/base/odom", Qos::reliable(10));
         while !wanted(poses.receive(Instant::ZERO).unwrap()) {
             publisher.put(&odometry());
             std::thread::yield_now();
@@ -51,7 +51,7 @@ fn a_publisher_that_restarted_begins_a_frame() {
 #[test]
 fn poses_and_bearings_go_from_one_node_to_another() {
     let (robot, listener) = (node("burger"), node("bench"));
-    let publisher = robot.link().publish::<Odometry>("/odom", Qos::reliable(10));
+    let publisher = robot.link.publish::<Odometry>("/odom", Qos::reliable(10));
     let topic: Topic = serde_json::from_str("{}").unwrap();
     let mut poses = listener.poses(&topic, Stamp::Header);
     let pose = loop {
@@ -65,7 +65,7 @@ fn poses_and_bearings_go_from_one_node_to_another() {
 
     let (give, bearings) = channel();
     let used = move |bearing: Bearing, _| drop(give.send(bearing));
-    listener.link().subscribe("/csi5300_burger/tx/bearing", Qos::reliable(10), used, || panic!("unreadable"));
+    listener.link.subscribe("/csi5300_burger/tx/bearing", Qos::reliable(10), used, || panic!("unreadable"));
     let mut robot = robot;
     robot.announce(&["tx".into()]);
     let mut answer = Answer::default();
@@ -94,5 +94,5 @@ fn poses_and_bearings_go_from_one_node_to_another() {
     assert_eq!(bearing.header.stamp, Time::from_us(1_700_000_029_990_405), "that of the record");
     assert!((bearing.azimuth - std::f64::consts::FRAC_PI_2).abs() < 1e-12 && bearing.range.is_nan());
     assert!(robot.trouble().is_empty() && listener.trouble().is_empty());
-    assert_eq!(robot.link().counted()["published"]["/odom"]["subscribers"], 1);
+    assert_eq!(robot.link.counted()["published"]["/odom"]["subscribers"], 1);
 }

@@ -20,6 +20,18 @@ pub enum Level {
     Verbose,
 }
 
+impl Level {
+    /// The level of the options `--quiet` and `--verbose`.
+    #[must_use]
+    pub fn of(quiet: bool, verbose: bool) -> Self {
+        match (quiet, verbose) {
+            (true, _) => Self::Quiet,
+            (false, false) => Self::Usual,
+            (false, true) => Self::Verbose,
+        }
+    }
+}
+
 /// When output is coloured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum When {

@@ -12,6 +12,9 @@ pub const AZIMUTH_FLOOR_DEG: f64 = 1.15;
 /// Outlier share of links.
 pub const LINK_OUTLIERS: f64 = 0.1;
 
+/// Outlier share of another sensor's ranges: reflections, or ranges of another robot.
+pub const RANGE_OUTLIERS: f64 = 0.1;
+
 /// Ranges from the wave front: least relative deviation, and share of wrong ones.
 const RANGE_FLOOR: f64 = 0.3;
 const RANGE_MISSED: f64 = 0.5;

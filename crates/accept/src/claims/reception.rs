@@ -311,12 +311,11 @@ fn snr_db(record: &HeardRecord) -> Option<f64> {
     let power = mean_power(&h);
     // Within each half of the band the indices are equally spaced.
     let thirds = h.get(..14)?.windows(4).chain(h.get(15..29)?.windows(4));
-    let squares: Vec<f64> = thirds
-        .filter_map(|w| match w {
-            [a, b, c, d] => Some(f64::from((d - c * 3.0 + b * 3.0 - a).norm_sqr()) / 20.0),
-            _ => None,
-        })
-        .collect();
+    let square = |four: &[Complex32]| {
+        let [a, b, c, d] = four else { return None };
+        Some(f64::from((d - c * 3.0 + b * 3.0 - a).norm_sqr()) / 20.0)
+    };
+    let squares: Vec<f64> = thirds.filter_map(square).collect();
     let noise = squares.iter().sum::<f64>() / squares.len() as f64;
     (power > noise && noise > 0.0).then(|| 10.0 * ((power - noise) / noise).log10())
 }

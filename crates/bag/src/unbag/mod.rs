@@ -21,7 +21,6 @@ use std::path::{Path, PathBuf};
 
 /// Why a recording cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum BagError {
     /// A file cannot be read or written.
     #[error("{}: {source}", .path.display())]
@@ -56,7 +55,6 @@ pub(crate) fn compressed_by(path: &Path, by: &str, convert: &str) -> BagError {
 
 /// Topics that estimates use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Content {
     /// Records of a card (`csi5300_msgs/msg/Csi`): they make a log in the WSR layout.
     Csi,
@@ -86,7 +84,6 @@ impl Content {
 
 /// A topic of CSI or poses.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
-#[non_exhaustive]
 pub struct Topic {
     /// The name of its file: a log (`.dat`) of CSI or a trajectory (`.csv`).
     pub file: PathBuf,
@@ -119,7 +116,6 @@ impl Topic {
 /// What was read of a recording: a folder of `ros2 bag` or one file: MCAP, SQLite or a bag of ROS 1, also compressed. Times are those
 /// of the headers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct Recording {
     /// The topics of CSI and poses, in order of their first message; of a written recording, of their names.
     pub topics: Vec<Topic>,

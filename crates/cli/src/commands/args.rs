@@ -117,12 +117,8 @@ fn clock_offset(text: &str) -> Result<(f64, JoinBy), String> {
 
 /// An antenna by its letter.
 pub fn antenna(text: &str) -> Result<Antenna, String> {
-    match text {
-        "A" | "a" => Ok(Antenna::A),
-        "B" | "b" => Ok(Antenna::B),
-        "C" | "c" => Ok(Antenna::C),
-        _ => Err("A, B or C".into()),
-    }
+    let named = |antenna: &Antenna| antenna.to_string().eq_ignore_ascii_case(text);
+    Antenna::ALL.into_iter().find(named).ok_or_else(|| "A, B or C".into())
 }
 
 fn one_of_antennas(text: &str) -> Result<Antenna, String> {

@@ -5,12 +5,12 @@ use super::{InWords, Outcome, Result, Words, fixed, print, print_json, usage};
 use csi5300::maths::median;
 use csi5300::pipeline::JoinBy;
 use csi5300::signal::channel::Channel;
-use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, risk_coverage, sets, sure};
+use csi5300_lab::evaluate::quality::{Ranges, Table, over_bound, ranges, risk_coverage, sets, sure};
 use csi5300_lab::evaluate::receivers::receivers;
 use csi5300_lab::evaluate::{
     ALL_SETS, Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, reliability, summarise,
 };
-use csi5300_lab::show::results::{Others, write_set};
+use csi5300_lab::show::results::write_set;
 use csi5300_view::{Reading, View};
 use driver_iface::bfee::Antenna;
 use rayon::prelude::*;
@@ -133,13 +133,13 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
 
 /// What another program answers on the links, from the tables beside the captures, if pictures are drawn; and whether some of it could not be
 /// read.
-fn beside(args: &Args, source: TrajectorySource) -> (Others, bool) {
-    let (mut others, mut lost) = (Others::default(), false);
+fn beside(args: &Args, source: TrajectorySource) -> (Vec<Table>, bool) {
+    let (mut others, mut lost) = (Vec::new(), false);
     for folder in args.folders.iter().filter(|_| args.plot.is_some()) {
-        if let Some(words) = others.add(folder, source) {
-            note!("{words}");
-            lost = true;
-        }
+        let (table, words) = Table::noted(folder, source);
+        others.extend(table);
+        words.iter().for_each(|words| note!("{words}"));
+        lost |= words.is_some();
     }
     (others, lost)
 }
@@ -179,7 +179,7 @@ fn find_all<'a>(folders: impl Iterator<Item = &'a PathBuf>) -> Words<(Vec<Captur
 }
 
 /// Prints rows and summary, and draws the requested pictures.
-fn show(args: &Args, rows: &[Judged], others: &Others) -> Words<()> {
+fn show(args: &Args, rows: &[Judged], others: &[Table]) -> Words<()> {
     let summary = summarise(rows);
     if args.json {
         rows.iter().for_each(print_json);

@@ -7,11 +7,9 @@ use super::{InWords, Outcome, Result, Words, info, print_json, usage};
 use csi5300::source::survey::Survey;
 use csi5300::time::Instant;
 use csi5300_lab::export::{CardFrames, Export, KNOWN, is_known};
-use csi5300_lab::table::{Advise, Filter, Form, Reading};
+use csi5300_lab::table::{Filter, Form, Reading};
 use driver_iface::Mac;
-use driver_iface::bfee::Antenna;
 use std::fmt::Display;
-use std::mem::MaybeUninit;
 use std::path::{Path, PathBuf};
 
 // Arguments of `export`.
@@ -91,19 +89,6 @@ impl Args {
     }
 }
 
-/// Counts of records read and written.
-struct Written {
-    survey: Survey,
-    /// Bytes of the log.
-    bytes: u64,
-    /// Records written.
-    records: u64,
-    /// Records without the requested scale.
-    unscaled: u64,
-    /// Records whose antennas are not known.
-    without_antennas: u64,
-}
-
 /// Writes the CSI of a log.
 pub fn run(args: &Args) -> Result {
     if args.dat {
@@ -126,27 +111,21 @@ pub fn run(args: &Args) -> Result {
         return other_card(args, format, &bytes);
     }
     let draft = Draft::create(&args.output, args.force)?;
-    let Written { survey, bytes, records, unscaled, without_antennas } = write(args, draft.path(), filter)?;
+    let (row, survey, bytes) = write(args, draft.path(), filter)?;
+    let Row { records, without_antennas, without_scale, .. } = row;
     if records > 0 {
         draft.keep(false).map_err(|error| args.failed(&error))?;
     }
     if args.json {
-        print_json(&Row {
-            output: &args.output,
-            records,
-            left_out: survey.bfees().saturating_sub(records),
-            without_scale: unscaled,
-            without_antennas,
-            damaged: survey.damages + survey.bad_bfee,
-        });
+        print_json(&row);
     }
     notes!("{}", info::losses(&survey, bytes));
     if without_antennas > 0 {
         let some = super::some(without_antennas, "record", "records");
         note!("  {some} without a valid antenna_sel in chain order (antennas_known 0)");
     }
-    if unscaled > 0 {
-        note!("  {unscaled} of {records} records have no scale (RSSI or CSI all 0): NaN there");
+    if without_scale > 0 {
+        note!("  {without_scale} of {records} records have no scale (RSSI or CSI all 0): NaN there");
     }
     if records < survey.bfees() {
         note!("  {} records were skipped by --mac, --from, --to or --antennas", survey.bfees() - records);
@@ -212,42 +191,37 @@ fn other_card(args: &Args, format: csi_formats::Format, bytes: &[u8]) -> Result 
 }
 
 /// Writes the records of the log. A file is read twice, first for all but its CSI: that costs less than memory for all of it. What can
-/// be read only once is kept in memory, packed.
-fn write(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
-    let size = args.file.metadata().ok().filter(|found| found.is_file()).map(|found| found.len());
+/// be read only once is kept in memory, packed. Also returns what was found in the log, and its bytes.
+fn write<'a>(args: &'a Args, output: &Path, filter: Filter) -> Words<(Row<'a>, Survey, u64)> {
+    let is_file = args.file.is_file();
     let source = super::open_log(&args.file)?;
-    let antennas = filter.antennas().map(<[Antenna]>::to_vec);
+    let antennas = filter.antennas.clone();
     let mut reading = Reading::new(source, filter);
-    let read = match size {
-        Some(size) => {
-            reading = reading.without_bodies();
-            reading.read_sized(Instant::ZERO, size, &mut Large, || true)
-        }
-        None => reading.read_all(Instant::ZERO, || true),
-    };
-    read.in_words()?;
+    if is_file {
+        reading = reading.without_bodies();
+    }
+    reading.read_all(Instant::ZERO, || true).in_words()?;
     let (arena, columns) = reading.take();
-    let (records, bytes) = (columns.len() as u64, reading.source().bytes());
-    let mut export = match size {
-        Some(_) => Export::of_log(&args.file, &columns, args.form()),
-        None => Export::new(&arena, (0..arena.len()).collect(), &columns, args.form()),
+    let (records, bytes) = (columns.len() as u64, reading.source.bytes());
+    let mut export = match is_file {
+        true => Export::of_log(&args.file, &columns, args.form()),
+        false => Export::new(&arena, (0..arena.len()).collect(), &columns, args.form()),
     };
     if let Some(antennas) = antennas {
-        export = export.with_antennas(&antennas);
+        export.antennas = antennas;
     }
-    let mut unscaled = 0;
+    let mut without_scale = 0;
     if records > 0 {
-        unscaled = export.write(output).map_err(|error| args.failed(&error))?;
+        without_scale = export.write(output).map_err(|error| args.failed(&error))?;
     }
-    Ok(Written { survey: reading.survey, bytes, records, unscaled, without_antennas: export.without_antennas() })
-}
-
-/// Memory in large pages, where the operating system has them.
-struct Large;
-
-impl Advise for Large {
-    fn advise<T>(&mut self, memory: &mut [MaybeUninit<T>]) {
-        // Pages of the usual size do as well.
-        let _ = csi5300_live::sys::advise_large_pages(memory);
-    }
+    let survey = reading.table.survey;
+    let row = Row {
+        output: &args.output,
+        records,
+        left_out: survey.bfees().saturating_sub(records),
+        without_scale,
+        without_antennas: export.without_antennas(),
+        damaged: survey.damages + survey.bad_bfee,
+    };
+    Ok((row, survey, bytes))
 }

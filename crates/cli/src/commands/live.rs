@@ -33,10 +33,14 @@ pub fn join_refused(error: &served::JoinError) -> String {
     }
 }
 
+/// The number that begins a text, and the letters behind it.
+fn number_and_unit(text: &str) -> (&str, &str) {
+    text.split_at(text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len()))
+}
+
 /// A length of time: `250ms`, `10s`, `5m`, `1h`; a bare number is seconds.
 pub fn duration(text: &str) -> Result<Span, String> {
-    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(split);
+    let (number, unit) = number_and_unit(text);
     let scale = match unit {
         "ms" => 1e-3,
         "" | "s" => 1.0,
@@ -57,9 +61,8 @@ pub fn some_duration(text: &str) -> Result<Span, String> {
 
 /// A size at which a log is continued in another file: a record of the stock driver has up to 64 KiB.
 pub fn rotation_size(text: &str) -> Result<u64, String> {
-    size(text).and_then(
-        |size| if size >= LEAST_ROTATION { Ok(size) } else { Err("64k or more: a record is as large".into()) },
-    )
+    let size = size(text)?;
+    if size >= LEAST_ROTATION { Ok(size) } else { Err("64k or more: a record is as large".into()) }
 }
 
 /// Bytes of a log at least before it is continued in another file.
@@ -67,20 +70,16 @@ const LEAST_ROTATION: u64 = 64 << 10;
 
 /// A multiple of real time, above 0; `max` for no waiting at all.
 pub fn speed(text: &str) -> Result<f64, String> {
-    match text {
-        "max" => Ok(f64::INFINITY),
-        _ => text
-            .parse()
-            .ok()
-            .filter(|speed: &f64| *speed > 0.0 && speed.is_finite())
-            .ok_or_else(|| "above 0, or max".into()),
+    if text == "max" {
+        return Ok(f64::INFINITY);
     }
+    let speed = text.parse().ok().filter(|speed: &f64| *speed > 0.0 && speed.is_finite());
+    speed.ok_or_else(|| "above 0, or max".into())
 }
 
 /// A size in bytes: `4096`, `500k`, `100M`, `2G` (powers of 1024).
 pub fn size(text: &str) -> Result<u64, String> {
-    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(split);
+    let (number, unit) = number_and_unit(text);
     let shift = match unit.to_ascii_lowercase().as_str() {
         "" => 0,
         "k" => 10,
@@ -170,16 +169,16 @@ impl Listening {
             let frames = matches!(asked, Records::WsrFrames | Records::CsitoolFrames) || needs.frames;
             let records = driver_iface::stock::Options { layout, frames, ..Default::default() };
             let options = stock::Options { records, ring: receive_buffer, own: needs.own };
-            return Stock::open(&options).map(Listener::from).in_words();
+            return Ok(Listener::Stock(Box::new(Stock::open(&options).in_words()?)));
         }
         if let Some(address) = &self.room {
             let (card, _) = served::join(address, served::Role::Card).map_err(|error| join_refused(&error))?;
-            return Ok(Netlink::over(card, wall_us).into());
+            return Ok(Listener::Connector(Box::new(Netlink::over(card, wall_us))));
         }
         let receive_buffer = receive_buffer.min(i32::MAX as usize / 2);
         let (connector_index, allow_user_sender) = (self.card.connector_index, self.allow_user_sender);
         let options = Options { connector_index, allow_user_sender, receive_buffer, ..Options::default() };
-        Netlink::open(&options).map(Listener::from).in_words()
+        Ok(Listener::Connector(Box::new(Netlink::open(&options).in_words()?)))
     }
 }
 

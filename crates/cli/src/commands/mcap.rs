@@ -204,9 +204,7 @@ fn estimate(
     for (name, link) in names.iter().skip(1).zip(&report.links) {
         match &link.bearing {
             Ok(bearing) => {
-                recording
-                    .bearing(name, bearing)
-                    .map_err(|error| format!("cannot write {}: {error}", args.out.display()))?;
+                recording.bearing(name, bearing).map_err(|error| failed(args, &error))?;
                 let answer = &bearing.answer;
                 let [azimuth_deg, sd_deg] = [answer.azimuth_rad, answer.azimuth_sd_rad].map(f64::to_degrees);
                 let mirror_deg = answer.mirror_rad.map(f64::to_degrees);
@@ -302,21 +300,18 @@ impl Recording {
     }
 
     /// A bearing, its mirror if it has one, and its profile.
-    pub fn bearing(&mut self, link: &str, bearing: &Bearing) -> Words<()> {
+    pub fn bearing(&mut self, link: &str, bearing: &Bearing) -> io::Result<()> {
         let (answer, t_s) = (&bearing.answer, bearing.samples.t_s().last().copied().unwrap_or(0.0));
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };
         let towards = Quaternion::along(answer.azimuth_rad, answer.signed_elevation_rad.unwrap_or(0.0));
-        let scan = profile(link, t_s, bearing).in_words()?;
-        let mut put = || {
-            self.put(&format!("/bearing/{link}"), t_s, &placed(&from, towards.clone()))?;
-            if let Some(mirror_rad) = answer.mirror_rad {
-                let mirror = placed(&from, Quaternion::along(mirror_rad, answer.mirror_elevation_rad.unwrap_or(0.0)));
-                self.put(&format!("/mirror/{link}"), t_s, &mirror)?;
-            }
-            self.transform(&format!("bearing/{link}"), &from, towards.clone())?;
-            self.put(&format!("/aoa_profile/{link}"), t_s, &scan)
-        };
-        put().map_err(|error: io::Error| error.to_string())
+        let scan = profile(link, t_s, bearing).map_err(io::Error::other)?;
+        self.put(&format!("/bearing/{link}"), t_s, &placed(&from, towards.clone()))?;
+        if let Some(mirror_rad) = answer.mirror_rad {
+            let mirror = placed(&from, Quaternion::along(mirror_rad, answer.mirror_elevation_rad.unwrap_or(0.0)));
+            self.put(&format!("/mirror/{link}"), t_s, &mirror)?;
+        }
+        self.transform(&format!("bearing/{link}"), &from, towards)?;
+        self.put(&format!("/aoa_profile/{link}"), t_s, &scan)
     }
 }
 

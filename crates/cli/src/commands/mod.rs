@@ -148,12 +148,7 @@ pub fn run() -> ExitCode {
     });
     let (cli, matches) =
         parsed.unwrap_or_else(|error| say::misused(&error.render().to_string(), error.exit_code(), || error.exit()));
-    let level = match (cli.quiet, cli.verbose) {
-        (true, _) => Level::Quiet,
-        (false, false) => Level::Usual,
-        (false, true) => Level::Verbose,
-    };
-    say::set("csi5300", level, cli.color);
+    say::set("csi5300", Level::of(cli.quiet, cli.verbose), cli.color);
     let result = outputs_are_no_inputs(&command, &matches).and_then(|()| execute(cli.command));
     detail!("{}", say::used(begun));
     match result {

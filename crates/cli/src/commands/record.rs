@@ -425,8 +425,7 @@ fn run_feitcsi(args: &Args, from: &Way, signals: Signals) -> Result {
     let recorder = Recorder::new(frames, files, args.options()).in_words()?;
     let mut source = FeitCsi::new(recorder);
     let lost = |frames: &Frames| Losses { kernel: frames.dropped(), ..Losses::default() };
-    let failed =
-        session.capture(&mut source, |source| (source.frames().totals(), lost(source.frames().source()))).err();
-    let (frames, files, totals) = source.into_frames().finish(session.clock.now()).in_words()?;
+    let failed = session.capture(&mut source, |source| (source.frames.totals(), lost(source.frames.source()))).err();
+    let (frames, files, totals) = source.frames.finish(session.clock.now()).in_words()?;
     Ok(session.end(failed, &(String::new(), lost(&frames)), &totals, &files))
 }

@@ -85,10 +85,7 @@ impl Args {
         if is_suite {
             return Some(run_suite(&self.which, &out(TABLE), self.force, self.json));
         }
-        if !self.recorded.is_named() {
-            return None;
-        }
-        Some(compare::run(self, &out(COMPARED)))
+        self.recorded.is_named().then(|| compare::run(self, &out(COMPARED)))
     }
 }
 

@@ -242,7 +242,7 @@ fn a_card_behind_the_socket_says_what_the_room_s_card_says() {
     scene.robot[1].antenna_b_m = Some([0.0, 0.1, 0.0]);
     let mut served = Served::new(&scene, "card");
     let (mut card, mac) = served.join("tx", |address| card_of(address, || Some(7)));
-    assert_eq!((mac, card.at()), (served.room.mac(1).unwrap(), "to a card in a simulated room"));
+    assert_eq!((mac, card.at.as_str()), (served.room.mac(1).unwrap(), "to a card in a simulated room"));
     let (mut second, _) = served.join("tx", |address| card_of(address, || None));
     let mut poses = served.join("rx", |address| Poses::join(address).unwrap());
     let mut air = served.monitor("rx", 1);

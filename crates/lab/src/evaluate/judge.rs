@@ -2,7 +2,7 @@
 
 use super::captures::{Capture, TRUTH_FILE, TrajectorySource, Truth};
 use super::quality::horizontal;
-use crate::Failure;
+use crate::{Failure, wrap_deg};
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv::{self, CsvError};
 use csi5300::motion::pose::{Pose, Trajectory, TrajectoryError};
@@ -305,10 +305,7 @@ fn judge(answer: Answer, transmitter: &TruePlace<'_>, reference: Option<&Traject
     let true_from_mean_pose_deg = mean.and_then(|mean| bearing_from(mean, position));
     let reported = answer.position_m.zip(answer.position_t_s.and_then(|t_s| transmitter.at(t_s)));
     let off = reported.map(|([x, y, _], truth)| Vector2::new(x, y) + origin_m - truth);
-    let error = |truth: Option<f64>| {
-        let (azimuth, truth) = answer.azimuth_deg.zip(truth)?;
-        Some(wrap_rad((azimuth - truth).to_radians()).to_degrees())
-    };
+    let error = |truth: Option<f64>| Some(wrap_deg(answer.azimuth_deg? - truth?));
     let true_range_m = position.zip(mean).map(|(p, from)| (p.x - from.x).hypot(p.y - from.y));
     Judged {
         true_range_m,
@@ -386,7 +383,6 @@ fn turned_by(trajectory: &Trajectory, turn_rad: f64) -> Result<Trajectory, Traje
 
 /// One or more consecutive parts of a motion that is cut into equally long ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-#[non_exhaustive]
 pub struct Part {
     /// Index of the first part.
     pub index: u32,

@@ -9,7 +9,6 @@ use std::path::Path;
 
 /// Errors of a set of links, degrees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
 pub struct Errors {
     /// Links with an error.
     pub links: usize,
@@ -48,7 +47,6 @@ impl Errors {
 
 /// Statistics of one set.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
 pub struct SetSummary {
     /// Number of links, including failed ones.
     pub links: usize,
@@ -95,7 +93,6 @@ const BINS: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.000_001];
 
 /// A bearing's probability of being within five degrees, and its error.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub struct Sure {
     /// The probability, 0..1.
     pub probability: f64,
@@ -119,7 +116,6 @@ impl Sure {
 
 /// Errors of the remaining bearings after refusing the least sure.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub struct Kept {
     /// Share kept, 0..1.
     pub share: f64,
@@ -146,7 +142,6 @@ pub fn surest(all: &[Sure], shares: impl Iterator<Item = f64>) -> Vec<Kept> {
 
 /// Bearings of similar probability.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[non_exhaustive]
 pub struct Reliability {
     /// Lower edge.
     pub from: f64,
@@ -253,7 +248,6 @@ const COLUMNS: [&str; 5] = ["capture", "tx", "displacement", "peer_est_deg", "pe
 
 /// Another program's answer on a link.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-#[non_exhaustive]
 pub struct Beside {
     /// Its azimuth, degrees.
     pub azimuth_deg: f64,

@@ -6,18 +6,14 @@
 
 use super::captures::{Capture, TrajectorySource};
 use super::judge::Judged;
-use crate::Failure;
-use csi5300::maths::wrap_rad;
+use crate::{Failure, wrap_deg};
 use csi5300::motion::pose::Trajectory;
 pub use csi5300_team::answers::UNKNOWN_PROBABILITY;
-use csi5300_team::answers::{AZIMUTH_FLOOR_DEG, LINK_OUTLIERS, Way, ways};
+use csi5300_team::answers::{AZIMUTH_FLOOR_DEG, LINK_OUTLIERS, RANGE_OUTLIERS, Way, ways};
 use csi5300_team::{KeyframeId, Mode, OdometryNoise, Solution, Team, TeamError};
 use nalgebra::{Matrix2, Vector2};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
-
-/// Outlier share of another sensor's ranges: reflections, or ranges of another robot.
-const RANGE_OUTLIERS: f64 = 0.1;
 
 /// Deviation of known places, metres.
 pub(super) const PLACE_SD_M: f64 = 0.01;
@@ -463,10 +459,6 @@ fn height(at: &Vector2<f64>, covariance_m2: &Matrix2<f64>, elevations: &[Elevati
     let by_place = along / sum;
     let variance = 1.0 / sum + (by_place.transpose() * covariance_m2 * by_place)[0];
     (sum > 0.0).then(|| (height_m / sum, variance.sqrt()))
-}
-
-fn wrap_deg(angle: f64) -> f64 {
-    wrap_rad(angle.to_radians()).to_degrees()
 }
 
 #[cfg(test)]

@@ -37,7 +37,6 @@ impl Frame {
 
 /// A place where a transmitter may be.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[non_exhaustive]
 pub struct OtherPlace {
     /// Its middle, metres in the common frame.
     pub position_m: [f64; 2],
@@ -47,7 +46,6 @@ pub struct OtherPlace {
 
 /// A transmitter, located from all motions together.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[non_exhaustive]
 pub struct LocatedTransmitter {
     /// Its name.
     pub transmitter: String,

@@ -22,7 +22,7 @@ macro_rules! elements {
     )*};
 }
 
-elements!(u8: "u1", i8: "i1", u16: "u2", u32: "u4", i64: "i8", f64: "f8", Complex32: "c8");
+elements!(u8: "u1", i8: "i1", u16: "u2", u32: "u4", i64: "i8", f32: "f4", f64: "f8", Complex32: "c8");
 
 /// A file that refuses all writes after its first error, but reports success: dropping the archive's writer finishes the file,
 /// and an error there would be printed to standard error.
@@ -224,7 +224,7 @@ const COMPLEX: u32 = 0x0800;
 const LONGEST: u64 = i32::MAX as u64;
 
 /// A number type of arrays: its array class (table 1-3), its element type, its bytes.
-pub trait Number: Pod {
+pub trait Number: Element {
     /// The class of an array of it.
     const CLASS: u32;
     /// The type of its element.

@@ -11,7 +11,7 @@ mod parquet;
 use crate::Failure;
 use crate::table::{Arena, Columns, Decoder, Form, LogReader, NO_ANTENNA, NO_TIME, Order, Rows, decode_in};
 pub use arrays::Npz;
-use arrays::{Element, Mat, Number};
+use arrays::{Mat, Number};
 use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIERS};
 use csi5300::signal::csi::{scale_factor, total_rss_dbm};
 use driver_iface::bfee::{Antenna, Bfee, rate};
@@ -58,10 +58,13 @@ enum Source<'a> {
 pub struct Export<'a> {
     source: Source<'a>,
     columns: &'a Columns,
-    antennas: Vec<Antenna>,
-    streams: usize,
+    /// Only these antennas' rows are written.
+    pub antennas: Vec<Antenna>,
+    /// Further streams of a record are dropped, missing ones are NaN.
+    pub streams: usize,
     form: Form,
-    stop: Option<&'a AtomicBool>,
+    /// Stops the writing, an error, once it is set.
+    pub stop: Option<&'a AtomicBool>,
 }
 
 impl<'a> Export<'a> {
@@ -93,29 +96,8 @@ impl<'a> Export<'a> {
         }
     }
 
-    /// With a flag that stops the writing, an error, once it is set.
-    #[must_use]
-    pub fn with_stop(mut self, stop: &'a AtomicBool) -> Self {
-        self.stop = Some(stop);
-        self
-    }
-
     fn is_stopped(&self) -> bool {
         self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
-    }
-
-    /// With only these antennas' rows.
-    #[must_use]
-    pub fn with_antennas(mut self, antennas: &[Antenna]) -> Self {
-        self.antennas = antennas.to_vec();
-        self
-    }
-
-    /// With this number of streams: further streams of a record are dropped, missing ones are NaN.
-    #[must_use]
-    pub fn with_streams(mut self, streams: usize) -> Self {
-        self.streams = streams;
-        self
     }
 
     /// Writes a file in the format of its extension ([`KNOWN`]); replaces an existing one. Returns the number of records without
@@ -177,12 +159,9 @@ impl<'a> Export<'a> {
         let dims = [SUBCARRIERS as u64, self.streams as u64, ports, n];
         let order = Order::SubcarriersLast;
         let (mut first, mut second) = (Walk::new(self, order)?, Walk::new(self, order)?);
-        let written = mat.complex(
-            "csi",
-            &dims,
-            vectors(&mut first).flatten().map(|h| h.re),
-            vectors(&mut second).flatten().map(|h| h.im),
-        );
+        let re = vectors(&mut first).flatten().map(|h| h.re);
+        let im = vectors(&mut second).flatten().map(|h| h.im);
+        let written = mat.complex("csi", &dims, re, im);
         let figures = first.finish()?;
         second.finish()?;
         written?;
@@ -229,10 +208,6 @@ struct Figures {
 }
 
 impl Figures {
-    fn with_room(records: usize) -> Self {
-        Self { rss_dbm: Vec::with_capacity(records), scale: Vec::with_capacity(records) }
-    }
-
     /// Adds a record's figures; `scale` is its factor, if it has one.
     fn push(&mut self, bfee: Option<&Bfee<'_>>, scale: Option<f64>) {
         self.rss_dbm.push(bfee.and_then(|bfee| total_rss_dbm(bfee).ok()).unwrap_or(f64::NAN));
@@ -270,8 +245,7 @@ impl<'a> Walk<'a> {
                 Decoder::new(order, rows.clone(), export.form),
             )),
         };
-        let figures = Figures::with_room(export.len());
-        Ok(Self { export, order, rows, log, done: 0, figures, failure: None })
+        Ok(Self { export, order, rows, log, done: 0, figures: Figures::default(), failure: None })
     }
 
     /// Replaces the vector's content with the CSI of the next records. It is empty after the last record, once the export was
@@ -319,12 +293,6 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// The figures of the records so far.
-    #[cfg(feature = "parquet")]
-    pub fn figures(&self) -> &Figures {
-        &self.figures
-    }
-
     /// The figures of all records.
     ///
     /// # Errors
@@ -342,23 +310,12 @@ trait Target {
     ///
     /// # Errors
     /// If it cannot be written.
-    fn put<T: Element + Number>(
-        &mut self,
-        name: &str,
-        count: u64,
-        width: u64,
-        values: impl Iterator<Item = T>,
-    ) -> io::Result<()>;
+    fn put<T: Number>(&mut self, name: &str, size: [u64; 2], values: impl Iterator<Item = T>) -> io::Result<()>;
 }
 
 impl Target for Npz {
-    fn put<T: Element + Number>(
-        &mut self,
-        name: &str,
-        count: u64,
-        width: u64,
-        values: impl Iterator<Item = T>,
-    ) -> io::Result<()> {
+    fn put<T: Number>(&mut self, name: &str, size: [u64; 2], values: impl Iterator<Item = T>) -> io::Result<()> {
+        let [count, width] = size;
         let shape = if width == 1 { vec![count] } else { vec![count, width] };
         self.array(name, &shape, values)
     }
@@ -366,14 +323,8 @@ impl Target for Npz {
 
 impl Target for Mat {
     /// With the records last, as MATLAB orders indices.
-    fn put<T: Element + Number>(
-        &mut self,
-        name: &str,
-        count: u64,
-        width: u64,
-        values: impl Iterator<Item = T>,
-    ) -> io::Result<()> {
-        self.array(name, &[width, count], values)
+    fn put<T: Number>(&mut self, name: &str, size: [u64; 2], values: impl Iterator<Item = T>) -> io::Result<()> {
+        self.array(name, &[size[1], size[0]], values)
     }
 }
 
@@ -385,32 +336,32 @@ fn write_fields(export: &Export<'_>, figures: &Figures, file: &mut impl Target) 
     let (n, columns) = (export.len() as u64, export.columns);
     let host = columns.host_us.iter().map(|us| if *us == NO_TIME { -1 } else { *us });
     let rssi = |port: usize| columns.rssi.iter().skip(port).step_by(3).copied();
-    file.put("record", n, 1, 0..n as i64)?;
-    file.put("time_us", n, 1, columns.time_us.iter().copied())?;
-    file.put("timestamp_low", n, 1, columns.timestamp_low.iter().copied())?;
-    file.put("bfee_count", n, 1, columns.bfee_count.iter().copied())?;
-    file.put("host_us", n, 1, host)?;
-    file.put("frame_count", n, 1, columns.frame.iter().copied())?;
-    file.put("n_rx", n, 1, columns.n_rx.iter().copied())?;
-    file.put("n_tx", n, 1, columns.n_tx.iter().copied())?;
+    file.put("record", [n, 1], 0..n as i64)?;
+    file.put("time_us", [n, 1], columns.time_us.iter().copied())?;
+    file.put("timestamp_low", [n, 1], columns.timestamp_low.iter().copied())?;
+    file.put("bfee_count", [n, 1], columns.bfee_count.iter().copied())?;
+    file.put("host_us", [n, 1], host)?;
+    file.put("frame_count", [n, 1], columns.frame.iter().copied())?;
+    file.put("n_rx", [n, 1], columns.n_rx.iter().copied())?;
+    file.put("n_tx", [n, 1], columns.n_tx.iter().copied())?;
     for (port, name) in ["rssi_a", "rssi_b", "rssi_c"].into_iter().enumerate() {
-        file.put(name, n, 1, rssi(port))?;
+        file.put(name, [n, 1], rssi(port))?;
     }
-    file.put("noise_dbm", n, 1, columns.noise_dbm.iter().copied())?;
-    file.put("agc", n, 1, columns.agc.iter().copied())?;
-    file.put("antenna_sel", n, 1, columns.antenna_sel.iter().copied())?;
-    file.put("rate_n_flags", n, 1, columns.rate.iter().copied())?;
-    file.put("antennas_known", n, 1, export.antennas_known().map(u8::from))?;
-    file.put("total_rss_dbm", n, 1, figures.rss_dbm.iter().copied())?;
-    file.put("scale", n, 1, figures.scale.iter().copied())?;
-    file.put("offset", n, 1, columns.offset.iter().copied())?;
-    file.put("mac", n, 6, columns.mac.iter().copied())?;
+    file.put("noise_dbm", [n, 1], columns.noise_dbm.iter().copied())?;
+    file.put("agc", [n, 1], columns.agc.iter().copied())?;
+    file.put("antenna_sel", [n, 1], columns.antenna_sel.iter().copied())?;
+    file.put("rate_n_flags", [n, 1], columns.rate.iter().copied())?;
+    file.put("antennas_known", [n, 1], export.antennas_known().map(u8::from))?;
+    file.put("total_rss_dbm", [n, 1], figures.rss_dbm.iter().copied())?;
+    file.put("scale", [n, 1], figures.scale.iter().copied())?;
+    file.put("offset", [n, 1], columns.offset.iter().copied())?;
+    file.put("mac", [n, 6], columns.mac.iter().copied())?;
     if let Some(subcarriers) = export.subcarriers() {
-        file.put("subcarriers", subcarriers.len() as u64, 1, subcarriers.into_iter())?;
+        file.put("subcarriers", [subcarriers.len() as u64, 1], subcarriers.into_iter())?;
     }
     let ports = export.antennas.iter().map(|antenna| antenna.index() as u8);
-    file.put("antennas", export.antennas.len() as u64, 1, ports)?;
-    file.put("scaled", 1, 1, [u8::from(export.form.scaled)].into_iter())
+    file.put("antennas", [export.antennas.len() as u64, 1], ports)?;
+    file.put("scaled", [1, 1], [u8::from(export.form.scaled)].into_iter())
 }
 
 #[cfg(test)]
@@ -458,7 +409,8 @@ mod tests {
     fn an_export_that_is_stopped_says_so() {
         let (arena, columns) = table(&fixture(), Filter::default());
         let stop = AtomicBool::new(false);
-        let export = Export::new(&arena, (0..arena.len()).collect(), &columns, Form::default()).with_stop(&stop);
+        let mut export = Export::new(&arena, (0..arena.len()).collect(), &columns, Form::default());
+        export.stop = Some(&stop);
         let endings: &[&str] = if cfg!(feature = "parquet") { &["npz", "mat", "parquet"] } else { &["npz", "mat"] };
         for ending in endings {
             let path = &Temporary::path(&format!("stopped.{ending}")).0;
@@ -474,12 +426,13 @@ mod tests {
     #[test]
     fn an_extension_may_be_upper_case_and_streams_may_exceed_the_logs() {
         let (arena, columns) = table(&fixture(), Filter::default());
-        let export = Export::new(&arena, (0..arena.len()).collect(), &columns, Form::default());
+        let mut export = Export::new(&arena, (0..arena.len()).collect(), &columns, Form::default());
         let (small, large, wide) =
             (Temporary::path("log.npz"), Temporary::path("LOG.NPZ"), Temporary::path("wide.npz"));
         export.write(&small.0).unwrap();
         export.write(&large.0).unwrap();
-        export.with_streams(3).write(&wide.0).unwrap();
+        export.streams = 3;
+        export.write(&wide.0).unwrap();
         let bytes = |file: &Temporary| std::fs::read(&file.0).unwrap();
         assert!(super::is_known(&large.0) && bytes(&small) == bytes(&large));
         // complex64 of 30 subcarriers, 3 antennas and 2 streams that no record has.
@@ -496,10 +449,10 @@ mod tests {
             assert!(format!("{all:?}") == format!("{again:?}"), "columns differ");
             assert!(all.len() > if number == 0 { 11_000 } else { 50 });
             for form in [Form::default(), Form { scaled: true, without_spatial_mapping: false }] {
-                let memory = Export::new(&arena, (0..arena.len()).collect(), &all, form);
-                let file = Export::of_log(&log.0, &again, form);
+                let mut memory = Export::new(&arena, (0..arena.len()).collect(), &all, form);
+                let mut file = Export::of_log(&log.0, &again, form);
                 for antennas in [&Antenna::ALL[..], &[Antenna::C, Antenna::A]] {
-                    let (memory, file) = (memory.clone().with_antennas(antennas), file.clone().with_antennas(antennas));
+                    (memory.antennas, file.antennas) = (antennas.to_vec(), antennas.to_vec());
                     for ending in ["npz", "mat"] {
                         let out = Temporary::path(&format!("again.{ending}"));
                         let first = (memory.write(&out.0).unwrap(), std::fs::read(&out.0).unwrap());

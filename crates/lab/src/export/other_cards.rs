@@ -136,29 +136,24 @@ impl CardFrames {
 
     fn write_fields(&self, file: &mut impl Target) -> std::io::Result<()> {
         let n = self.frames.len() as u64;
-        file.put("record", n, 1, 0..n as i64)?;
-        file.put("offset", n, 1, self.whole(|frame| i64::try_from(frame.offset).ok()))?;
-        file.put("time_s", n, 1, self.time_s.iter().copied())?;
-        file.put(
-            "clock_ticks",
-            n,
-            1,
-            self.whole(|frame| frame.clock.and_then(|clock| i64::try_from(clock.ticks).ok())),
-        )?;
-        file.put("clock_tick_ps", n, 1, self.whole(|frame| frame.clock.map(|clock| i64::from(clock.tick_ps))))?;
-        file.put("host_us", n, 1, self.whole(|frame| frame.host_us))?;
-        file.put("sequence", n, 1, self.whole(|frame| frame.sequence.map(i64::from)))?;
-        file.put("centre_mhz", n, 1, self.whole(|frame| frame.centre_mhz.map(i64::from)))?;
-        file.put("width_mhz", n, 1, self.frames.iter().map(|frame| frame.width_mhz))?;
-        file.put("first_rx", n, 1, self.frames.iter().map(|frame| frame.first_rx))?;
-        file.put("first_tx", n, 1, self.frames.iter().map(|frame| frame.first_tx))?;
-        file.put("mac", n, 6, self.macs())?;
+        file.put("record", [n, 1], 0..n as i64)?;
+        file.put("offset", [n, 1], self.whole(|frame| i64::try_from(frame.offset).ok()))?;
+        file.put("time_s", [n, 1], self.time_s.iter().copied())?;
+        file.put("clock_ticks", [n, 1], self.whole(ticks))?;
+        file.put("clock_tick_ps", [n, 1], self.whole(|frame| frame.clock.map(|clock| i64::from(clock.tick_ps))))?;
+        file.put("host_us", [n, 1], self.whole(|frame| frame.host_us))?;
+        file.put("sequence", [n, 1], self.whole(|frame| frame.sequence.map(i64::from)))?;
+        file.put("centre_mhz", [n, 1], self.whole(|frame| frame.centre_mhz.map(i64::from)))?;
+        file.put("width_mhz", [n, 1], self.frames.iter().map(|frame| frame.width_mhz))?;
+        file.put("first_rx", [n, 1], self.frames.iter().map(|frame| frame.first_rx))?;
+        file.put("first_tx", [n, 1], self.frames.iter().map(|frame| frame.first_tx))?;
+        file.put("mac", [n, 6], self.macs())?;
         let in_dbm = self.frames.iter().map(|frame| u8::from(is_dbm(frame)));
-        file.put("rssi_in_dbm", n, 1, in_dbm)?;
+        file.put("rssi_in_dbm", [n, 1], in_dbm)?;
         let subcarriers = self.subcarriers();
-        file.put("subcarriers", subcarriers.len() as u64, 1, subcarriers.iter().map(|index| i64::from(*index)))?;
+        file.put("subcarriers", [subcarriers.len() as u64, 1], subcarriers.iter().map(|index| i64::from(*index)))?;
         let spacing_hz = self.frames.first().map_or(0.0, Frame::spacing_hz);
-        file.put("spacing_hz", 1, 1, std::iter::once(spacing_hz))
+        file.put("spacing_hz", [1, 1], std::iter::once(spacing_hz))
     }
 
     fn write_csv(&self, path: &Path) -> std::io::Result<()> {
@@ -176,15 +171,9 @@ impl CardFrames {
             let known = |value: Option<i64>| value.map_or(String::new(), |value| value.to_string());
             let mut line = format!("{k},{}", frame.offset);
             let _ = write!(line, ",{}", if time_s.is_finite() { time_s.to_string() } else { String::new() });
-            let ticks = frame.clock.and_then(|clock| i64::try_from(clock.ticks).ok());
             let sender = frame.sender.map_or(String::new(), |mac| driver_iface::Mac(mac).to_string());
-            let _ = write!(
-                line,
-                ",{},{},{},{sender}",
-                known(ticks),
-                known(frame.host_us),
-                known(frame.sequence.map(i64::from))
-            );
+            let numbers = [ticks(frame), frame.host_us, frame.sequence.map(i64::from)].map(known);
+            let _ = write!(line, ",{},{sender}", numbers.join(","));
             (0..n_rx)
                 .for_each(|rx| line += &format!(",{}", known(frame.rssi.get(rx).copied().flatten().map(i64::from))));
             for h in csi.by_ref().take(width) {
@@ -202,6 +191,11 @@ pub(super) fn chain(rx: usize) -> char {
 }
 
 /// All positions of a frame's CSI, in the order of [`Frame::csi`].
+/// A frame's time on the card's clock.
+fn ticks(frame: &Frame) -> Option<i64> {
+    i64::try_from(frame.clock?.ticks).ok()
+}
+
 fn places(n_rx: usize, n_tx: usize, subcarriers: &[i16]) -> impl Iterator<Item = (usize, usize, i16)> {
     (0..n_rx).flat_map(move |rx| (0..n_tx).flat_map(move |tx| subcarriers.iter().map(move |index| (rx, tx, *index))))
 }

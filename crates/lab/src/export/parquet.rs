@@ -46,12 +46,12 @@ pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, Failure> {
         ArrowWriter::try_new_with_options(out, schema(export, &none), options).map_err(io::Error::other)?;
     let (mut walk, mut csi) = (Walk::new(export, Order::SubcarriersLast)?, Vec::new());
     loop {
-        let first = walk.figures().scale.len();
+        let first = walk.figures.scale.len();
         walk.next(&mut csi);
         if csi.is_empty() {
             break;
         }
-        let columns = batch(export, walk.figures(), first, &csi)?;
+        let columns = batch(export, &walk.figures, first, &csi)?;
         let schema = schema(export, &columns);
         let arrays = columns.into_iter().map(|(_, array)| array).collect();
         writer.write(&RecordBatch::try_new(schema, arrays).map_err(io::Error::other)?).map_err(io::Error::other)?;

@@ -1,5 +1,6 @@
 //! Lines, text, legends and marks on kuva's scene, with axes, written as PNG and SVG. Pixels, y down.
 
+use super::ending;
 use crate::Failure;
 use kuva::RasterBackend;
 use kuva::backend::svg::SvgBackend;
@@ -261,9 +262,7 @@ impl Canvas {
             .map_err(|error| format!("drawing failed: {error}"))?;
         let svg = self.svg().into_bytes();
         let write = |(kind, bytes): (&str, Vec<u8>)| {
-            let mut name = stem.as_os_str().to_owned();
-            name.push(kind);
-            let path = PathBuf::from(name);
+            let path = ending(stem, kind);
             std::fs::write(&path, bytes).map_err(fail(&path))?;
             Ok(path)
         };

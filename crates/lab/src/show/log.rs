@@ -1,7 +1,7 @@
 //! A log over time: CSI as heat maps, amplitude by antenna, RSSI and gain, rate, losses.
 
 use super::canvas::{Axes, BLACK, Canvas, GREY, Key, ORANGE, PALE, Rgb, WIDTH, extent, series_colour};
-use super::empty;
+use super::{empty, ending};
 use crate::Failure;
 use crate::course::{AntennaCourse, Course, letter};
 use csi5300::source::survey::TimeBase;
@@ -50,16 +50,11 @@ impl LogPictures<'_> {
         if self.course.records == 0 {
             return Err(empty("log"));
         }
-        let named = |what: &str| {
-            let mut name = stem.as_os_str().to_owned();
-            name.push(what);
-            PathBuf::from(name)
-        };
         let mut written = Vec::new();
         if !self.course.antennas.is_empty() {
-            written.extend(self.csi().save(&named("-csi"))?);
+            written.extend(self.csi().save(&ending(stem, "-csi"))?);
         }
-        written.extend(self.levels()?.save(&named("-levels"))?);
+        written.extend(self.levels()?.save(&ending(stem, "-levels"))?);
         Ok(written)
     }
 

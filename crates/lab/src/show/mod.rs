@@ -19,10 +19,18 @@ pub mod results;
 
 use crate::Failure;
 pub use plots::{Chart, Ellipse, Look, MapPlot, PhasePlot, PhaseTrack, ProfilePlot, Ray, RayClass, Series};
+use std::path::{Path, PathBuf};
 
 /// The refusal of a part of a picture without a finite value.
 fn empty(what: &str) -> Failure {
     format!("{what}: no finite value to draw; check that the estimator produced output").into()
+}
+
+/// The path `stem` with `end` behind its last letter.
+fn ending(stem: &Path, end: &str) -> PathBuf {
+    let mut name = stem.as_os_str().to_owned();
+    name.push(end);
+    name.into()
 }
 
 /// A link name as a file name: keeps letters, digits, `.` and `-`, and replaces everything else (`/`, `:`, spaces) and a leading
@@ -42,7 +50,6 @@ mod tests {
     use super::*;
     use crate::curves::Curve;
     use crate::temporary::Temporary;
-    use std::path::{Path, PathBuf};
 
     fn check(paths: &[PathBuf]) {
         let [png, svg] = paths else { panic!("two files expected, {paths:?}") };

@@ -5,8 +5,8 @@ use super::canvas::{
     series_colour,
 };
 use super::empty;
-use crate::Failure;
 use crate::curves::Curve;
+use crate::{Failure, wrap_deg};
 use csi5300::maths::{unwrap_rad, wrap_rad};
 use csi5300_say::fixed;
 use kuva::render::render::TextAnchor;
@@ -555,10 +555,6 @@ fn height(curve: &Points, azimuth_deg: f64) -> f64 {
         (Some(p), _) | (_, Some(p)) => p.1,
         _ => 0.0,
     }
-}
-
-fn wrap_deg(degrees: f64) -> f64 {
-    wrap_rad(degrees.to_radians()).to_degrees()
 }
 
 impl ProfilePlot {

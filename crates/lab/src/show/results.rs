@@ -142,29 +142,12 @@ const TOOLBOX: [(&str, f64, f64); 5] = [
     ("NLOS_Set_C", 2.15, 7.03),
 ];
 
-/// Another program's answers on the same links, from the tables beside the captures.
-#[derive(Clone, Debug, Default)]
-pub struct Others(Vec<Table>);
-
-impl Others {
-    /// Adds the table of a folder, if any. Returns what was skipped and why: a loss.
-    pub fn add(&mut self, folder: &Path, source: TrajectorySource) -> Option<String> {
-        let (table, note) = Table::noted(folder, source);
-        self.0.extend(table);
-        note
-    }
-
-    fn error_deg(&self, row: &Judged) -> Option<f64> {
-        self.0.iter().find_map(|table| table.of(&row.answer.link)).map(|beside| beside.error_deg)
-    }
-}
-
-/// Writes into a folder: `errors` if a link has a truth, `refusals` and `reliability` if such a link has a confidence, and a
+/// Writes into a folder: `errors` if a link has a truth, beside another program's `others` on the same links, `refusals` and `reliability` if such a link has a confidence, and a
 /// `map-PLACE` for each capture.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_set(rows: &[Judged], others: &Others, folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+pub fn write_set(rows: &[Judged], others: &[Table], folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let judged = |row: &&Judged| row.error_from_mean_pose_deg.is_some();
     let mut written = Vec::new();
     if rows.iter().any(|row| judged(&row)) {
@@ -255,13 +238,13 @@ fn distribution(name: &str, errors: &[f64], look: Look, colour: usize) -> Series
     Series { name: format!("{name} (median {:.2})", median_size(errors)), points: steps(errors), look, colour }
 }
 
-fn errors(rows: &[Judged], others: &Others) -> Chart {
+fn errors(rows: &[Judged], others: &[Table]) -> Chart {
     let mut sets: BTreeMap<&str, (Vec<f64>, Vec<f64>)> = BTreeMap::new();
     for row in rows {
         let Some(error) = row.error_from_mean_pose_deg else { continue };
         let (own, other) = sets.entry(row.set()).or_default();
         own.push(error);
-        other.extend(others.error_deg(row));
+        other.extend(others.iter().find_map(|table| table.of(&row.answer.link)).map(|beside| beside.error_deg));
     }
     // Each set has the same colour as the other program's.
     let both = sets.iter().enumerate().flat_map(|(colour, (set, (own, other)))| {

@@ -1,6 +1,5 @@
 //! Records in memory, as the card sent them: blocks that are written once, and a log's bfee records in them ([`Arena`]). [`LogReader`] reads records of a log again whose columns alone are in memory.
 
-use super::Advise;
 use driver_iface::bfee::Bfee;
 use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record, card_clock_ps, code};
 use memmap2::MmapMut;
@@ -196,13 +195,6 @@ impl Arena {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
-    }
-
-    /// Reserves room for this many more records, as far as memory allows; `advise` gets the memory.
-    pub(super) fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
-        if self.entries.try_reserve_exact(records).is_ok() {
-            advise.advise(self.entries.spare_capacity_mut());
-        }
     }
 
     /// Keeps an MPDU for the next bfee.

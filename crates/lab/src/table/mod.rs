@@ -13,24 +13,12 @@ pub use decode::{Form, Rows, decode};
 use driver_iface::bfee::{Antenna, Antennas, Bfee};
 pub use memory::Arena;
 pub(crate) use memory::LogReader;
-pub use reading::{Filter, Reading};
-use std::mem::MaybeUninit;
+pub use reading::{Filter, Reading, Table};
 
 /// No host time: NumPy's NaT.
 pub const NO_TIME: i64 = i64::MIN;
 /// No antenna.
 pub const NO_ANTENNA: u8 = 255;
-
-/// Called with memory before it is first written, for example to request large pages.
-pub trait Advise {
-    /// Receives memory that will be written.
-    fn advise<T>(&mut self, memory: &mut [MaybeUninit<T>]);
-}
-
-/// Does nothing.
-impl Advise for () {
-    fn advise<T>(&mut self, _: &mut [MaybeUninit<T>]) {}
-}
 
 /// Columns of equal length.
 #[derive(Clone, Debug, Default)]
@@ -78,30 +66,6 @@ impl Columns {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.time_us.is_empty()
-    }
-
-    /// Reserves room for this many more records, as far as memory allows; `advise` gets the memory of each column.
-    fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
-        fn room<T>(column: &mut Vec<T>, more: usize, advise: &mut impl Advise) {
-            if column.try_reserve_exact(more).is_ok() {
-                advise.advise(column.spare_capacity_mut());
-            }
-        }
-        room(&mut self.time_us, records, advise);
-        room(&mut self.host_us, records, advise);
-        room(&mut self.timestamp_low, records, advise);
-        room(&mut self.bfee_count, records, advise);
-        room(&mut self.n_rx, records, advise);
-        room(&mut self.n_tx, records, advise);
-        room(&mut self.rssi, records.saturating_mul(3), advise);
-        room(&mut self.noise_dbm, records, advise);
-        room(&mut self.agc, records, advise);
-        room(&mut self.rate, records, advise);
-        room(&mut self.antenna_sel, records, advise);
-        room(&mut self.antenna_order, records.saturating_mul(3), advise);
-        room(&mut self.frame, records, advise);
-        room(&mut self.mac, records.saturating_mul(6), advise);
-        room(&mut self.offset, records, advise);
     }
 
     /// The rows and columns needed for the CSI of all records.
@@ -190,14 +154,12 @@ fn order_of(antennas: Option<Antennas>) -> [u8; 3] {
 /// Antennas by their letters: `A`, `BC`, `A,C`.
 #[must_use]
 pub fn antennas(text: &str) -> Option<Vec<Antenna>> {
-    let letter = |letter: char| match letter.to_ascii_uppercase() {
-        'A' => Some(Antenna::A),
-        'B' => Some(Antenna::B),
-        'C' => Some(Antenna::C),
-        _ => None,
+    let named = |letter: char| {
+        let letter = letter.to_ascii_uppercase().to_string();
+        Antenna::ALL.into_iter().find(|antenna| antenna.to_string() == letter)
     };
     let letters = text.chars().filter(|c| !matches!(c, ',' | ' '));
-    let mut antennas: Vec<Antenna> = letters.map(letter).collect::<Option<_>>()?;
+    let mut antennas: Vec<Antenna> = letters.map(named).collect::<Option<_>>()?;
     antennas.sort();
     antennas.dedup();
     (!antennas.is_empty()).then_some(antennas)
@@ -225,7 +187,7 @@ mod tests {
         while reading.burst(Instant::ZERO, usize::MAX).unwrap() {}
         assert!(reading.has_ended());
         let (arena, columns) = reading.take();
-        (arena, columns, reading.left_out)
+        (arena, columns, reading.table.left_out)
     }
 
     fn frames() -> Vec<Frame> {
@@ -410,26 +372,26 @@ mod tests {
         {
             let mut one = Reading::new(replay(&log), filter.clone());
             while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
-            // As if for too few bytes, and for more than there is memory.
-            for size in [None, Some(1), Some(u64::MAX)] {
-                let mut other = Reading::new(replay(&log), filter.clone());
-                other.read_cut(Instant::ZERO, cut, size, &mut (), || true).unwrap();
-                assert_eq!((other.arena.len(), other.columns.len()), (one.arena.len(), one.columns.len()), "{size:?}");
-            }
             let mut two = Reading::new(replay(&log), filter.clone());
-            two.read_cut(Instant::ZERO, cut, Some(log.len() as u64), &mut (), || true).unwrap();
+            two.read_cut(Instant::ZERO, cut, || true).unwrap();
             // Without bodies a whole log is read on one thread, in reused memory.
             let mut alone = Reading::new(replay(&log), filter).without_bodies();
-            alone.read_cut(Instant::ZERO, cut, Some(log.len() as u64), &mut (), || true).unwrap();
-            assert!(one.has_ended() && two.has_ended() && one.left_out == two.left_out);
-            assert_eq!(serde_json::to_string(&one.survey).unwrap(), serde_json::to_string(&two.survey).unwrap());
-            assert!(alone.has_ended() && alone.arena.is_empty() && alone.left_out == one.left_out);
-            assert_eq!(serde_json::to_string(&one.survey).unwrap(), serde_json::to_string(&alone.survey).unwrap());
-            assert!(format!("{:?}", alone.columns) == format!("{:?}", one.columns), "columns differ");
+            alone.read_cut(Instant::ZERO, cut, || true).unwrap();
+            assert!(one.has_ended() && two.has_ended() && one.table.left_out == two.table.left_out);
+            assert_eq!(
+                serde_json::to_string(&one.table.survey).unwrap(),
+                serde_json::to_string(&two.table.survey).unwrap()
+            );
+            assert!(alone.has_ended() && alone.table.arena.is_empty() && alone.table.left_out == one.table.left_out);
+            assert_eq!(
+                serde_json::to_string(&one.table.survey).unwrap(),
+                serde_json::to_string(&alone.table.survey).unwrap()
+            );
+            assert!(format!("{:?}", alone.table.columns) == format!("{:?}", one.table.columns), "columns differ");
             let ((a, a_columns), (b, b_columns)) = (one.take(), two.take());
             assert!(bodies(&a) == bodies(&b), "{} records, {}", a.len(), b.len());
             assert_eq!(format!("{a_columns:?}"), format!("{b_columns:?}"));
-            assert_eq!(a.len() + one.left_out as usize, COPIES * 281);
+            assert_eq!(a.len() + one.table.left_out as usize, COPIES * 281);
         }
     }
 
@@ -444,7 +406,9 @@ mod tests {
             (Reading::new(replay(&log), Filter::default()), Reading::new(replay(&log), Filter::default()));
         while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
         two.read_all(Instant::ZERO, || true).unwrap();
-        for (arena, k) in [one.arena, two.arena].iter().flat_map(|arena| (0..30_u32).map(move |k| (arena, k))) {
+        for (arena, k) in
+            [one.table.arena, two.table.arena].iter().flat_map(|arena| (0..30_u32).map(move |k| (arena, k)))
+        {
             let codes: Vec<u8> = arena.records(k as usize).map(|(code, _)| code).collect();
             assert_eq!((codes, arena.mpdu(k as usize)), (vec![code::CARD_CLOCK, code::BFEE], &k.to_le_bytes()[..]));
         }
@@ -473,10 +437,10 @@ mod tests {
         let (mut one, mut two) = (open(), open());
         while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
         let cut = Cut { first: 1_000, block: Some(4_096 + LOOKAHEAD), head: LOOKAHEAD };
-        two.read_cut(Instant::ZERO, cut, None, &mut (), || true).unwrap();
-        assert_eq!(format!("{:?}", one.columns), format!("{:?}", two.columns));
-        assert_eq!(two.columns.host_us.iter().filter(|us| **us == NO_TIME).count(), 1_000);
-        assert_eq!(two.columns.host_us[2_999], 1_700_002_999_250_000);
+        two.read_cut(Instant::ZERO, cut, || true).unwrap();
+        assert_eq!(format!("{:?}", one.table.columns), format!("{:?}", two.table.columns));
+        assert_eq!(two.table.columns.host_us.iter().filter(|us| **us == NO_TIME).count(), 1_000);
+        assert_eq!(two.table.columns.host_us[2_999], 1_700_002_999_250_000);
     }
 
     /// A partly received log, and one whose reader fails in the middle.
@@ -484,15 +448,18 @@ mod tests {
     fn received_records_are_not_read_twice_and_survive_an_error() {
         let log = long();
         let mut one = Reading::new(replay(&log), Filter::default());
-        assert!(one.burst(Instant::ZERO, 700).unwrap() || one.arena.len() == 700);
+        assert!(one.burst(Instant::ZERO, 700).unwrap() || one.table.arena.len() == 700);
         one.read_all(Instant::ZERO, || true).unwrap();
-        assert_eq!((one.arena.len(), one.has_ended(), one.source().bytes()), (COPIES * 281, true, log.len() as u64));
+        assert_eq!(
+            (one.table.arena.len(), one.has_ended(), one.source.bytes()),
+            (COPIES * 281, true, log.len() as u64)
+        );
         let half = &log[..log.len() / 2];
         let failing = Replay::new(half.chain(Failing), "half a log".into());
         let mut two = Reading::new(failing, Filter::default());
         let error = two.read_all(Instant::ZERO, || true).unwrap_err().to_string();
         assert!(error.contains(&format!("half a log at byte {}", half.len())), "{error}");
-        assert!(!two.has_ended() && two.arena.len() > COPIES * 130, "{}", two.arena.len());
+        assert!(!two.has_ended() && two.table.arena.len() > COPIES * 130, "{}", two.table.arena.len());
     }
 
     struct Failing;
@@ -513,7 +480,7 @@ mod tests {
             asked < 2
         };
         reading.read_all(Instant::ZERO, go_on).unwrap();
-        assert!(asked == 2 && !reading.has_ended() && !reading.arena.is_empty());
+        assert!(asked == 2 && !reading.has_ended() && !reading.table.arena.is_empty());
         let mut asked = 0;
         let mut stopped = Reading::new(replay(&log), Filter::default()).without_bodies();
         let go_on = || {
@@ -521,6 +488,6 @@ mod tests {
             asked < 3
         };
         stopped.read_all(Instant::ZERO, go_on).unwrap();
-        assert!(asked == 3 && !stopped.has_ended() && !stopped.columns.is_empty());
+        assert!(asked == 3 && !stopped.has_ended() && !stopped.table.columns.is_empty());
     }
 }

@@ -2,7 +2,7 @@
 //! records, the other sorts them. Records stay where they were read.
 
 use super::memory::{Arena, BLOCK, Block, Span};
-use super::{Advise, Columns, antennas};
+use super::{Columns, antennas};
 use csi5300::source::replay::{Bytes, Framing, Front, Replay};
 use csi5300::source::survey::{Fields, Identity, Survey, Tally};
 use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Stamps};
@@ -24,7 +24,8 @@ pub struct Filter {
     macs: Option<BTreeSet<Mac>>,
     from_us: Option<i64>,
     to_us: Option<i64>,
-    antennas: Option<Vec<Antenna>>,
+    /// The requested antennas.
+    pub antennas: Option<Vec<Antenna>>,
 }
 
 impl Filter {
@@ -65,12 +66,6 @@ impl Filter {
         Ok(self)
     }
 
-    /// The requested antennas.
-    #[must_use]
-    pub fn antennas(&self) -> Option<&[Antenna]> {
-        self.antennas.as_deref()
-    }
-
     /// Whether a record with these antennas, if known, is kept; `since_us` is its time after the log's first bfee record by the card's
     /// clock, microseconds.
     #[inline]
@@ -85,7 +80,16 @@ impl Filter {
 
 /// A log that is being read into memory.
 pub struct Reading<S> {
-    source: S,
+    /// The source.
+    pub source: S,
+    /// What was read.
+    pub table: Table,
+    ended: bool,
+}
+
+/// Where records are stored.
+#[derive(Default)]
+pub struct Table {
     filter: Filter,
     /// Counters so far.
     pub survey: Survey,
@@ -97,8 +101,8 @@ pub struct Reading<S> {
     pub left_out: u64,
     /// For each loss and each impossible record, the number of intact bfee records before it.
     pub damaged_after: Vec<u64>,
-    first_us: Option<i64>,
-    ended: bool,
+    /// The card's clock at the log's first bfee record, kept or not, microseconds from the origin of [`Columns::time_us`].
+    pub first_us: Option<i64>,
     bodies: bool,
 }
 
@@ -106,37 +110,15 @@ impl<S: CsiSource> Reading<S> {
     /// Nothing read yet.
     #[must_use]
     pub fn new(source: S, filter: Filter) -> Self {
-        Self {
-            source,
-            filter,
-            survey: Survey::default(),
-            arena: Arena::default(),
-            columns: Columns::default(),
-            left_out: 0,
-            damaged_after: Vec::new(),
-            first_us: None,
-            ended: false,
-            bodies: true,
-        }
+        let table = Table { filter, bodies: true, ..Table::default() };
+        Self { source, table, ended: false }
     }
 
     /// Columns only: the arena stays empty. For a log that is read again.
     #[must_use]
     pub fn without_bodies(mut self) -> Self {
-        self.bodies = false;
+        self.table.bodies = false;
         self
-    }
-
-    /// The source.
-    #[must_use]
-    pub fn source(&self) -> &S {
-        &self.source
-    }
-
-    /// The card's clock at the log's first bfee record, kept or not, microseconds from the origin of [`Columns::time_us`].
-    #[must_use]
-    pub fn first_us(&self) -> Option<i64> {
-        self.first_us
     }
 
     /// True once all was read.
@@ -147,7 +129,7 @@ impl<S: CsiSource> Reading<S> {
 
     /// The records kept since the last call.
     pub fn take(&mut self) -> (Arena, Columns) {
-        (std::mem::take(&mut self.arena), std::mem::take(&mut self.columns))
+        (std::mem::take(&mut self.table.arena), std::mem::take(&mut self.table.columns))
     }
 
     /// Reads up to `BURST` records, until `limit` are kept, none is available, or the log ends; returns whether more may be
@@ -158,57 +140,27 @@ impl<S: CsiSource> Reading<S> {
     pub fn burst(&mut self, now: Instant, limit: usize) -> Result<bool, Error> {
         let mut tally = Tally::default();
         let more = self.burst_in(&mut tally, now, limit);
-        self.survey.settle(&mut tally);
+        self.table.survey.settle(&mut tally);
         more
     }
 
     fn burst_in(&mut self, tally: &mut Tally, now: Instant, limit: usize) -> Result<bool, Error> {
         for _ in 0..BURST {
-            if self.ended || self.columns.len() >= limit {
+            if self.ended || self.table.columns.len() >= limit {
                 return Ok(false);
             }
-            let (source, mut table) = self.parts();
-            let next = source.receive(now)?;
-            let ended = matches!(next, Next::End(_));
+            let next = self.source.receive(now)?;
             if matches!(next, Next::Pending) {
                 return Ok(false);
             }
-            table.take(tally, &next);
-            self.ended |= ended;
+            self.ended = matches!(next, Next::End(_));
+            self.table.take(tally, &next);
         }
         Ok(true)
     }
-
-    fn parts(&mut self) -> (&mut S, Table<'_>) {
-        let Self { source, filter, survey, arena, columns, left_out, damaged_after, first_us, bodies, .. } = self;
-        (source, Table { filter, survey, arena, columns, left_out, damaged_after, first_us, bodies: *bodies })
-    }
 }
 
-/// Where records are stored.
-struct Table<'a> {
-    filter: &'a Filter,
-    survey: &'a mut Survey,
-    arena: &'a mut Arena,
-    columns: &'a mut Columns,
-    left_out: &'a mut u64,
-    damaged_after: &'a mut Vec<u64>,
-    first_us: &'a mut Option<i64>,
-    bodies: bool,
-}
-
-impl Table<'_> {
-    /// Records kept.
-    fn kept(&self) -> usize {
-        self.columns.len()
-    }
-
-    /// Reserves room for this many more records, as far as memory allows; `advise` gets the memory.
-    fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
-        self.arena.reserve(records, advise);
-        self.columns.reserve(records, advise);
-    }
-
+impl Table {
     /// Counts an item; returns whether it is a bfee record and whether that is kept. Adds the columns of a kept one.
     fn note(&mut self, tally: &mut Tally, next: &Next<'_>) -> Option<bool> {
         let bad = self.survey.bad_bfee;
@@ -233,7 +185,7 @@ impl Table<'_> {
         if is_kept {
             self.columns.push(fields, identity, time_us, offset);
         } else {
-            *self.left_out += 1;
+            self.left_out += 1;
         }
         is_kept
     }
@@ -385,47 +337,22 @@ impl<R: Read + Send> Reading<Replay<R>> {
     /// # Errors
     /// If the log cannot be read further. What was read before is kept.
     pub fn read_all(&mut self, now: Instant, go_on: impl FnMut() -> bool) -> Result<(), Error> {
-        self.read_cut(now, Cut::default(), None, &mut (), go_on)
-    }
-
-    /// The same for a log of about `bytes`, with room reserved from the start; `advise` gets the memory.
-    ///
-    /// # Errors
-    /// As [`Self::read_all`].
-    pub fn read_sized(
-        &mut self,
-        now: Instant,
-        bytes: u64,
-        advise: &mut impl Advise,
-        go_on: impl FnMut() -> bool,
-    ) -> Result<(), Error> {
-        self.read_cut(now, Cut::default(), Some(bytes), advise, go_on)
+        self.read_cut(now, Cut::default(), go_on)
     }
 
     /// The same with other block sizes.
-    pub(super) fn read_cut(
-        &mut self,
-        now: Instant,
-        cut: Cut,
-        size: Option<u64>,
-        advise: &mut impl Advise,
-        mut go_on: impl FnMut() -> bool,
-    ) -> Result<(), Error> {
+    pub(super) fn read_cut(&mut self, now: Instant, cut: Cut, mut go_on: impl FnMut() -> bool) -> Result<(), Error> {
         if self.ended {
             return Ok(());
         }
-        let bodies = self.bodies;
-        let (replay, table) = self.parts();
-        let (bytes, framing) = replay.halves();
+        let table = &mut self.table;
+        let bodies = table.bodies;
+        let (bytes, framing) = self.source.halves();
         let mut cutter = Cutter { bytes, framing, left: Vec::new(), most: 0 };
         let mut sorter = Sorter { table, now, sorted: Sorted::default(), ended: false };
         let (first, more) = cutter.next(Block::fixed(cut.first), Found::default(), 0);
-        let first_bytes = first.block.bytes().len();
         sorter.take(first);
         if more? && go_on() {
-            if let Some(size) = size {
-                sorter.table.reserve(expected(sorter.table.kept(), first_bytes, size), advise);
-            }
             // Blocks that are not kept are small: they are used again and again.
             let block = cut.block.or((!bodies).then_some(STRETCH));
             in_pieces(cutter, Cut { block, ..cut }, |piece| (sorter.take(piece), go_on()))?;
@@ -433,12 +360,6 @@ impl<R: Read + Send> Reading<Replay<R>> {
         self.ended = sorter.ended;
         Ok(())
     }
-}
-
-/// Expected number of kept records in a log of `size` bytes, from the share kept so far, and a few more.
-fn expected(kept: usize, of_bytes: usize, size: u64) -> usize {
-    let all = kept as f64 * (size as f64 / of_bytes.max(1) as f64);
-    (1.02 * all) as usize
 }
 
 /// A block and what was found in it.
@@ -542,7 +463,7 @@ impl<R: Read> Cutter<'_, R> {
 
 /// Sorts the finds of a log, a block at a time.
 struct Sorter<'a> {
-    table: Table<'a>,
+    table: &'a mut Table,
     now: Instant,
     /// Of the current block; its memory is reused.
     sorted: Sorted,

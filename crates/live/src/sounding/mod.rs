@@ -265,7 +265,7 @@ impl Setup {
     /// If it has no MAC, or the plan does not fit.
     pub fn open_on(&self, monitor: Monitor, settle: impl FnOnce(&mut Config)) -> Result<Opened, Error> {
         let nameless = || refused(format!("{} has no MAC of its own: name the one to use", self.interface));
-        let own = self.mac.or(monitor.mac()).ok_or_else(nameless)?;
+        let own = self.mac.or(monitor.mac).ok_or_else(nameless)?;
         let (session, warning) = sessions::begin(own, wall_us());
         let mut config = self.config(own, session);
         let stranger = self.key.as_ref().and_then(|key| self.peers.iter().find(|peer| !key.has_pair(own, **peer)));

@@ -22,7 +22,7 @@ fn every_layout_arrives_byte_for_byte() {
     }
     for padded in [true, false] {
         let mut listener = listen(LARGE, None);
-        assert!(listener.at().contains("26 and 25 (no CSI driver"), "{}", listener.at());
+        assert!(listener.at.contains("26 and 25 (no CSI driver"), "{}", listener.at);
         // The unpadded ones under an old tree's index.
         let index = if padded { CN_IDX } else { CN_IDX_10_USERS };
         let mut sender = Sender::open(index, padded).unwrap();

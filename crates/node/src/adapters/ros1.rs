@@ -168,11 +168,8 @@ impl Adapter for Ros1 {
             claims.attach(machine, true);
         }
         if let Some(bridge) = self.bridge.as_ref().filter(|_| self.publishes && self.settings.publish_csi) {
-            machine.add_tap(Box::new(Card {
-                outbox: bridge.outbox.clone(),
-                topic: self.csi,
-                survey: Survey::default(),
-            }));
+            let card = Card { outbox: bridge.outbox.clone(), topic: self.csi, survey: Survey::default() };
+            machine.add_tap(Box::new(card));
         }
         Ok(())
     }
@@ -226,6 +223,7 @@ impl Tap for Card {
 type Answer = Box<dyn Fn() -> SelfTestResponse + Send>;
 
 /// State shared by the threads of a bridge.
+#[derive(Default)]
 struct Shared {
     /// By topic: messages handed to the bridge while it had a master, and others.
     counts: Vec<[AtomicU64; 2]>,
@@ -299,11 +297,8 @@ impl Bridge {
     ) -> std::io::Result<Self> {
         let shared = Arc::new(Shared {
             counts: (0..writes).map(|_| Default::default()).collect(),
-            connections: AtomicU64::new(0),
             trouble: Mutex::new(Some("ROS 1: the bridge is being started".into())),
-            input: Mutex::default(),
-            child: Mutex::default(),
-            over: AtomicBool::new(false),
+            ..Shared::default()
         });
         let (lines, waiting) = sync_channel(QUEUE);
         let (calls, called) = sync_channel(CALLS);

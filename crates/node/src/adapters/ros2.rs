@@ -54,7 +54,7 @@ pub(super) fn make(start: &Start<'_>) -> Made {
         return Ok(None);
     }
     let node = Node::start(&config.ros2.clone().unwrap_or_default(), &config.robot(), wall_us)?;
-    let _ = start.topics.set(node.link().relay());
+    let _ = start.topics.set(node.link.relay());
     Ok(Some(Box::new(Ros2 {
         node,
         diagnostics: None,
@@ -79,14 +79,14 @@ impl Adapter for Ros2 {
             self.node.serve_parameters(parameters(&self.config));
             let claims = Claims::new(&self.config, robot);
             let asked = Arc::clone(&claims);
-            self.node.link().serve("~/self_test", move |_: &_, _: SelfTestRequest| asked.answer());
+            self.node.link.serve("~/self_test", move |_: &_, _: SelfTestRequest| asked.answer());
             self.claims = Some(claims);
             if let Some(team) = &self.config.team {
                 self.team = Some(Topics::new(&self.node, names, ros.frame.clone(), !team.places.is_empty()));
             }
         }
         self.subscribe_to_ranges();
-        let publish = || self.node.link().publish("/diagnostics", usual());
+        let publish = || self.node.link.publish("/diagnostics", usual());
         self.diagnostics = self.config.ros2.as_ref().filter(|ros| ros.publish_diagnostics).map(|_| publish());
         self.records = self.node.records();
         Ok(())
@@ -107,14 +107,14 @@ impl Adapter for Ros2 {
     }
 
     fn look(&mut self, health: &mut Health) {
-        health.ros2 = Some(self.node.link().counted());
+        health.ros2 = Some(self.node.link.counted());
         health.trouble.extend(self.node.trouble());
         health.trouble.extend(mislabelled(health, self.config.ros2.as_ref().map(|ros| ("ros2", &ros.frame))));
     }
 
     fn finish(&mut self, health: &mut Health) {
-        self.node.link().end_recording();
-        health.ros2 = Some(self.node.link().counted());
+        self.node.link.end_recording();
+        health.ros2 = Some(self.node.link.counted());
         let trouble = self.node.trouble().into_iter().filter(|why| !health.trouble.contains(why));
         health.trouble.extend(trouble.collect::<Vec<_>>());
     }
@@ -182,8 +182,8 @@ struct Topics {
 
 impl Topics {
     pub fn new(node: &Node, peers: Vec<String>, odometry: String, has_places: bool) -> Self {
-        let factors = node.link().publish("~/factors", Qos::latched(1));
-        let pose = has_places.then(|| node.link().publish("~/pose", usual()));
+        let factors = node.link.publish("~/factors", Qos::latched(1));
+        let pose = has_places.then(|| node.link.publish("~/pose", usual()));
         Self { factors, pose, peers, odometry, solved: 0 }
     }
 
@@ -326,11 +326,11 @@ mod tests {
         let late = node("bench");
         let (give, factors) = std::sync::mpsc::channel();
         let used = move |text: Text, _| drop(give.send(text.data));
-        late.link().subscribe("/csi5300_burger/factors", Qos::latched(1), used, || panic!("unreadable"));
+        late.link.subscribe("/csi5300_burger/factors", Qos::latched(1), used, || panic!("unreadable"));
         assert_eq!(factors.recv().unwrap(), "{}");
         let (give, poses) = std::sync::mpsc::channel();
         let used = move |pose: PoseWithCovarianceStamped, _| drop(give.send(pose));
-        late.link().subscribe("/csi5300_burger/pose", Qos::reliable(1), used, || panic!("unreadable"));
+        late.link.subscribe("/csi5300_burger/pose", Qos::reliable(1), used, || panic!("unreadable"));
         let pose = loop {
             topics.tell(&robot, &TeamState { solved: topics.solved + 1, ..team.clone() }, 13_000_000);
             match poses.try_recv() {

@@ -210,12 +210,9 @@ pub(super) fn model<'de, D: Deserializer<'de>>(input: D) -> Result<Option<Geomet
 }
 
 pub(super) fn antenna<'de, D: Deserializer<'de>>(input: D) -> Result<Antenna, D::Error> {
-    match String::deserialize(input)?.as_str() {
-        "A" => Ok(Antenna::A),
-        "B" => Ok(Antenna::B),
-        "C" => Ok(Antenna::C),
-        other => Err(D::Error::custom(format!("antenna `{other}`: A, B or C"))),
-    }
+    let name = String::deserialize(input)?;
+    let found = Antenna::ALL.into_iter().find(|antenna| antenna.to_string() == name);
+    found.ok_or_else(|| D::Error::custom(format!("antenna `{name}`: A, B or C")))
 }
 
 pub(super) fn antennas<'de, D: Deserializer<'de>>(input: D) -> Result<Vec<Antenna>, D::Error> {

@@ -53,12 +53,7 @@ fn main() -> ExitCode {
     csi5300_say::add_names(std::env::args_os().skip(1));
     let cli = Cli::try_parse()
         .unwrap_or_else(|error| csi5300_say::misused(&error.render().to_string(), error.exit_code(), || error.exit()));
-    let level = match (cli.quiet, cli.verbose) {
-        (true, _) => Level::Quiet,
-        (false, false) => Level::Usual,
-        (false, true) => Level::Verbose,
-    };
-    csi5300_say::set("csi5300-node", level, cli.color);
+    csi5300_say::set("csi5300-node", Level::of(cli.quiet, cli.verbose), cli.color);
     let result = match cli.command {
         Some(_) if !cli.service.is_empty() => csi5300_say::usage("put options of the service after `node`"),
         Some(Command::Watch(args)) => watch::run(&args),

@@ -17,6 +17,8 @@ const SET: u32 = 256;
 pub(crate) type Prefix = [u8; 12];
 /// A writer or reader of a participant.
 pub(crate) type Entity = [u8; 4];
+/// The reader and the writer of a submessage.
+pub(crate) type Ends = (Entity, Entity);
 /// A participant's prefix.
 pub(crate) const ANY: Entity = [0; 4];
 
@@ -323,7 +325,7 @@ impl Maker {
     /// A sample. `over` is the key of a disposed instance, which has no payload; `request` is what a sample answers.
     pub fn data(
         mut self,
-        (reader, writer): (Entity, Entity),
+        ends: Ends,
         number: i64,
         payload: &[u8],
         (over, request): (Option<[u8; 16]>, Option<(Guid, i64)>),
@@ -332,7 +334,7 @@ impl Maker {
         let has_payload = if over.is_some() { 0 } else { 4 };
         self.submessage(0x15, has_inline | has_payload, |bytes| {
             bytes.extend([0, 0, 16, 0]);
-            bytes.extend(reader.into_iter().chain(writer));
+            bytes.extend(ends.0.into_iter().chain(ends.1));
             put_number(number, bytes);
             if let Some(key) = over {
                 bytes.extend([0x70, 0, 16, 0]);
@@ -355,15 +357,9 @@ impl Maker {
     }
 
     /// The range of a writer's samples, from `first` to `last`.
-    pub fn heartbeat(
-        mut self,
-        (reader, writer): (Entity, Entity),
-        (first, last): (i64, i64),
-        count: u32,
-        is_final: bool,
-    ) -> Self {
+    pub fn heartbeat(mut self, ends: Ends, (first, last): (i64, i64), count: u32, is_final: bool) -> Self {
         self.submessage(0x07, if is_final { 2 } else { 0 }, |bytes| {
-            bytes.extend(reader.into_iter().chain(writer));
+            bytes.extend(ends.0.into_iter().chain(ends.1));
             put_number(first, bytes);
             put_number(last, bytes);
             bytes.extend(count.to_le_bytes());
@@ -372,15 +368,9 @@ impl Maker {
     }
 
     /// What a reader lacks.
-    pub fn acknack(
-        mut self,
-        (reader, writer): (Entity, Entity),
-        missing: &Numbers,
-        count: u32,
-        is_final: bool,
-    ) -> Self {
+    pub fn acknack(mut self, ends: Ends, missing: &Numbers, count: u32, is_final: bool) -> Self {
         self.submessage(0x06, if is_final { 2 } else { 0 }, |bytes| {
-            bytes.extend(reader.into_iter().chain(writer));
+            bytes.extend(ends.0.into_iter().chain(ends.1));
             missing.put(bytes);
             bytes.extend(count.to_le_bytes());
         });
@@ -388,9 +378,9 @@ impl Maker {
     }
 
     /// Numbers that will never arrive: all from `start` to below `end`.
-    pub fn gap(mut self, (reader, writer): (Entity, Entity), (start, end): (i64, i64)) -> Self {
+    pub fn gap(mut self, ends: Ends, (start, end): (i64, i64)) -> Self {
         self.submessage(0x08, 0, |bytes| {
-            bytes.extend(reader.into_iter().chain(writer));
+            bytes.extend(ends.0.into_iter().chain(ends.1));
             put_number(start, bytes);
             Numbers::none(end).put(bytes);
         });

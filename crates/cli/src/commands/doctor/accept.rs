@@ -353,14 +353,12 @@ fn write(report: &Report, evidence: &Evidence, stopped: Option<&Stopped>, folder
     draft.keep()?;
     let is_new = |log: &PathBuf| files.iter().any(|(name, _)| log.ends_with(name));
     logs_in(folder).filter(|log| !is_new(log)).for_each(|log| note!("{} is of an earlier run", log.display()));
-    match stopped {
-        Some(_) => Ok(()),
-        None => match std::fs::remove_file(folder.join(FILE)) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(format!("cannot remove {}: {error}", FILE))
-            }
-            _ => Ok(()),
-        },
+    if stopped.is_some() {
+        return Ok(());
+    }
+    match std::fs::remove_file(folder.join(FILE)) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(format!("cannot remove {FILE}: {error}")),
+        _ => Ok(()),
     }
 }
 
@@ -414,7 +412,7 @@ fn air(desk: &Desk, options: &Options) -> Words<(Monitor, Mac)> {
         sound::see_to_rate(interface, PHY, Antenna::A)?;
     }
     let monitor = sound::monitor(address(desk)?.as_ref(), options)?.in_words()?;
-    let mac = monitor.mac().ok_or_else(|| format!("{} has no MAC", options.interface))?;
+    let mac = monitor.mac.ok_or_else(|| format!("{} has no MAC", options.interface))?;
     Ok((monitor, mac))
 }
 

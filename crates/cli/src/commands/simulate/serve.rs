@@ -398,13 +398,11 @@ impl PosesFile {
     /// Appends a pose, in the columns of motion capture with a heading. After a failure, reported once, poses are only
     /// counted: a row after half a row would be read with it.
     pub fn write(&mut self, pose: &Pose) {
-        let done = match self.unwritten {
-            0 => self.out.write_all(csv::line(pose).as_bytes()).and_then(|()| self.out.flush()),
-            _ => {
-                self.unwritten += 1;
-                return;
-            }
-        };
+        if self.unwritten > 0 {
+            self.unwritten += 1;
+            return;
+        }
+        let done = self.out.write_all(csv::line(pose).as_bytes()).and_then(|()| self.out.flush());
         if let Err(error) = done {
             self.unwritten = 1;
             wrong!("cannot write poses to {}: {error}. The room continues without writing more of them", self.name);

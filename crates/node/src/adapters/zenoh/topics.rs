@@ -192,12 +192,12 @@ mod tests {
         let domain = 150 + (std::process::id() % 80) as u16;
         let alone = Settings { domain: Some(domain), multicast: Some(false), ..Settings::default() };
         let node = Node::start(&alone, "burger", || Some(20_000_000)).unwrap();
-        let publisher = node.link().publish::<Time>("~/time", Qos::reliable(32));
-        let latched = node.link().publish::<Time>("~/last", Qos::latched(1));
+        let publisher = node.link.publish::<Time>("~/time", Qos::reliable(32));
+        let latched = node.link.publish::<Time>("~/last", Qos::latched(1));
         let (give, came) = channel();
         let used = move |time: Time, came: Came| _ = give.send((time.sec, came.at_us));
-        node.link().subscribe("/asked", Qos::best_effort(5), used, || panic!("unreadable"));
-        let graph = node.link().relay().take();
+        node.link.subscribe("/asked", Qos::best_effort(5), used, || panic!("unreadable"));
+        let graph = node.link.relay().take();
         // The access control admits only the needed keys.
         let owned = [Owner { mac: driver_iface::Mac([2; 6]), certificate: Some("burger-2".into()) }];
         let strict = access_control("csi5300/robots", &owned, Some(&keys_read(&graph))).unwrap();

@@ -161,7 +161,7 @@ pub(crate) struct Participant {
     peers: BTreeMap<Prefix, Peer>,
     /// Others' endpoints: true for writers.
     others: BTreeMap<Guid, (bool, EndpointData)>,
-    counts: Counts,
+    pub counts: Counts,
     /// Unreachable participants, and why.
     unreachable: BTreeMap<Prefix, String>,
     announced: (u32, Instant),
@@ -353,11 +353,6 @@ impl Participant {
         let counts = own.end.counts;
         let wrong = words(&own.wrong);
         TopicState { matched: own.end.writers(), samples: counts.samples, lost: counts.lost, wrong }
-    }
-
-    /// The counters.
-    pub fn counts(&self) -> Counts {
-        self.counts
     }
 
     /// Participants that announced themselves and cannot be reached.

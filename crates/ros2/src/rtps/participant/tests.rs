@@ -132,16 +132,16 @@ fn an_answer_waits_for_the_clients_reader_and_arrives_once() {
     answer(&mut net, 10);
     net.run(100);
     assert_eq!(net.came(1), [9, 10], "once its reader is known it does not wait");
-    assert_eq!(net.all[0].counts().unanswered, 0);
+    assert_eq!(net.all[0].counts.unanswered, 0);
     // An unread answer is given up and counted, and the number of waiting answers is bounded.
     let nobody = |net: &mut Net| {
         let answer = (Arc::from([0, 1, 0, 0, 7]), None);
         net.all[0].answer(0, [9; 12], answer, (net.now, WALL_US));
     };
     (0..WAITING + 5).for_each(|_| nobody(&mut net));
-    assert_eq!(net.all[0].counts().unanswered, 5);
+    assert_eq!(net.all[0].counts.unanswered, 5);
     net.run(2_000);
-    assert_eq!(net.all[0].counts().unanswered, WAITING as u64 + 5);
+    assert_eq!(net.all[0].counts.unanswered, WAITING as u64 + 5);
     assert_eq!(net.came(1), [9, 10]);
 }
 
@@ -186,13 +186,13 @@ fn a_departure_takes_effect_at_once_and_a_death_after_the_lease() {
     }
     net.all[0].add_reader("rt/a", "T", Qos::best_effort(5), WALL_US);
     net.run(4_000);
-    assert_eq!((net.all[0].counts().participants, net.all[0].reader_state(0).matched), (2, 2));
+    assert_eq!((net.all[0].counts.participants, net.all[0].reader_state(0).matched), (2, 2));
     net.all[1].leave();
     net.run(20);
-    assert_eq!((net.all[0].counts().participants, net.all[0].reader_state(0).matched), (1, 1));
+    assert_eq!((net.all[0].counts.participants, net.all[0].reader_state(0).matched), (1, 1));
     net.lose = |_| true;
     net.run(25_000);
-    let counts = net.all[0].counts();
+    let counts = net.all[0].counts;
     assert_eq!((counts.participants, counts.expired, net.all[0].reader_state(0).matched), (0, 1, 0));
     net.lose = |_| false;
     net.run(5_000);
@@ -231,7 +231,7 @@ fn a_new_address_is_used_at_once_and_loses_nothing_reliable() {
     net.run(1_000);
     let all: Vec<u8> = (0..150).collect();
     assert_eq!((net.came(0), net.came(1)), (all.clone(), all));
-    assert_eq!(net.all[1].counts().participants, 1);
+    assert_eq!(net.all[1].counts.participants, 1);
     // The first announcement of the next address is lost; those of the endpoints come.
     net.places[0] = 8;
     net.all[0].move_to(settings(8), WALL_US);
@@ -263,7 +263,7 @@ fn damaged_datagrams_and_fake_participants_are_counted_and_bounded() {
             net.all[1].handle_datagram(&damaged, Ipv4Addr::LOCALHOST, (net.now, WALL_US), &mut net.events[1]);
         }
     }
-    assert!(net.all[1].counts().malformed > 0);
+    assert!(net.all[1].counts.malformed > 0);
     for k in 0..2_000_u32 {
         let mut prefix = [9; 12];
         prefix[..4].copy_from_slice(&k.to_le_bytes());
@@ -271,7 +271,7 @@ fn damaged_datagrams_and_fake_participants_are_counted_and_bounded() {
         net.all[1].handle_datagram(&made, Ipv4Addr::LOCALHOST, (net.now, WALL_US), &mut net.events[1]);
         net.all[1].poll_transmit();
     }
-    assert!(net.all[1].counts().participants <= 128);
+    assert!(net.all[1].counts.participants <= 128);
     assert_eq!(net.all[1].reader_state(0).matched, 1, "the one that goes with a topic here is kept");
 }
 
@@ -330,7 +330,7 @@ fn an_ipv6_only_participant_is_named() {
     }
     let named: Vec<&str> = net.all[0].unreachable().collect();
     let expected = ["p7 at 127.0.0.9 announces only IPv6 addresses", "p8 at 127.0.0.9 announces only IPv6 addresses"];
-    assert_eq!((named, net.all[0].counts().unreadable), (expected.to_vec(), 0));
+    assert_eq!((named, net.all[0].counts.unreadable), (expected.to_vec(), 0));
 }
 
 const STRANGER: Prefix = [9; 12];
@@ -446,7 +446,7 @@ fn a_datagram_full_of_heartbeats_gets_a_bounded_answer() {
     (0..64).for_each(|_| hand(&mut net, &bytes));
     let out = net.all[0].poll_transmit();
     assert!((1_000..5_000).contains(&out.len()), "{}", out.len());
-    assert!(net.all[0].counts().left_out > 50);
+    assert!(net.all[0].counts.left_out > 50);
     // It can be reached as before.
     hand(&mut net, &reader_of("rt/a", 1));
     assert_eq!(net.all[0].writer_state(0).matched, 1);
@@ -457,14 +457,14 @@ fn overlong_names_are_not_stored_and_readers_are_bounded() {
     let mut net = alone();
     hand(&mut net, &announcement(STRANGER, at(9, 7410)));
     hand(&mut net, &reader_of(&"x".repeat(60_000), 1));
-    assert_eq!((net.all[0].counts().unreadable, net.all[0].others.len()), (1, 0));
+    assert_eq!((net.all[0].counts.unreadable, net.all[0].others.len()), (1, 0));
     // A reliable writer's sample numbers: the previous one was accepted.
     for number in 2..10_000 {
         hand(&mut net, &reader_of("rt/a", number));
         net.all[0].poll_transmit();
     }
     assert_eq!(net.all[0].writer_state(0).matched, 256);
-    assert!(net.all[0].others.len() <= 8_192 && net.all[0].counts().refused > 1_000);
+    assert!(net.all[0].others.len() <= 8_192 && net.all[0].counts.refused > 1_000);
 }
 
 /// The announcement of writer `number` of participant `prefix`, from 1.
@@ -488,11 +488,11 @@ fn an_endpoint_over_the_limit_is_counted_and_matched_once_one_leaves() {
         net.all[0].poll_transmit();
     }
     let state = net.all[0].reader_state(0);
-    assert_eq!((state.matched, net.all[0].counts().refused), (128, 2));
+    assert_eq!((state.matched, net.all[0].counts.refused), (128, 2));
     assert!(state.wrong.iter().any(|why| why.contains("too many")), "{:?}", state.wrong);
     // It is checked repeatedly but counted once.
     sent(&mut net, 2_000);
-    assert_eq!(net.all[0].counts().refused, 2);
+    assert_eq!(net.all[0].counts.refused, 2);
     net.all[0].forget(strangers[0]);
     sent(&mut net, 600);
     let state = net.all[0].reader_state(0);
