@@ -334,8 +334,10 @@ impl Bearing {
         );
         let count = self.density.len();
         let kind = |own: &BearingAnswer| [own.azimuth_rad, own.azimuth_sd_rad];
+        // A doubt about the two logs remains one.
+        let believed = self.answer.probability / self.found.probability_within(RIGHT_RAD).max(f64::MIN_POSITIVE);
         Self {
-            answer: BearingAnswer::of(&found, &self.samples),
+            answer: BearingAnswer::of(&found, &self.samples).times(believed.min(1.0)),
             density: if count > 0 { found.density(count) } else { Vec::new() },
             chain_constants: one.chain_constants.clone(),
             kinds_rad: vec![kind(&self.answer), kind(&one.answer)],
