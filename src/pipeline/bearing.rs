@@ -318,7 +318,7 @@ pub struct Bearing {
 impl Bearing {
     /// Whether it may be wrong by far more than its error bar: the logs may be exchanged, or the clocks differ.
     pub(super) fn is_in_doubt(&self) -> bool {
-        self.pairs.may_be_exchanged() || self.clock_offset.is_some_and(|found| found.is_doubt())
+        self.pairs.may_be_exchanged() || self.clock_offset.is_some_and(|found| found.doubt)
     }
 
     /// This bearing, of two logs, with what `one` tells of the same transmitter by antennas on the same robot over the same

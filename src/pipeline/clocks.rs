@@ -8,9 +8,11 @@ use crate::source::survey::{HostSteps, SET_US, Survey};
 use serde::Serialize;
 use std::fmt;
 
-/// From this logarithm of a likelihood ratio on, the times as given are in doubt. With right clocks, 31 real captures by three sensors
-/// and 236 simulated ones reach 4.9 at most.
+/// Times are in doubt from this logarithm of a likelihood ratio on, and if they are this many deviations from the likeliest ones. With
+/// right clocks, 31 real captures by three sensors and 236 simulated ones reach a logarithm of 4.9; a real drive along a line reaches 15,
+/// at times that it hardly tells apart.
 const DOUBT: f64 = 8.0;
+const APART: f64 = 3.0;
 /// Estimates at likelier times at most, until no others are likelier by this logarithm.
 const ROUNDS: usize = 4;
 const SETTLED: f64 = 2.0;
@@ -24,6 +26,8 @@ pub struct ClockOffset {
     pub sd_s: f64,
     /// `ln` of the likelihood there over that of the times as given.
     pub log_ratio: f64,
+    /// Whether the times as given are in doubt: bearings by them may be wrong by far more than noise explains.
+    pub doubt: bool,
 }
 
 impl ClockOffset {
@@ -49,14 +53,10 @@ impl ClockOffset {
         };
         let offset_s = mean(&|own_s| own_s);
         let sd_s = (mean(&|own_s| (own_s - offset_s).powi(2)) + STEP_S * STEP_S / 300.0).sqrt();
-        let found = Self { offset_s: options.clock_offset_s + offset_s, sd_s, log_ratio: highest - given };
+        let log_ratio = highest - given;
+        let doubt = log_ratio > DOUBT && offset_s.abs() > APART * sd_s;
+        let found = Self { offset_s: options.clock_offset_s + offset_s, sd_s, log_ratio, doubt };
         Some(found).filter(|found| found.offset_s.is_finite() && found.log_ratio.is_finite())
-    }
-
-    /// Whether the times as given are in doubt: bearings by them may be off by far more than their error bars.
-    #[must_use]
-    pub fn is_doubt(&self) -> bool {
-        self.log_ratio > DOUBT
     }
 }
 
@@ -79,7 +79,7 @@ pub(super) fn estimate(joins: &[LinkJoin<'_>], options: &Options) -> Vec<Result<
     let at = |options: &Options| estimate_with(joins, (options, Clocks::Compared));
     let mut made = at(options);
     let Some(mut found) = ClockOffset::of(&made, options) else { return made };
-    if found.is_doubt() {
+    if found.doubt {
         let mut likelier = Vec::new();
         for _ in 0..ROUNDS {
             let options = Options { clock_offset_s: found.offset_s, ..options.clone() };
@@ -88,7 +88,7 @@ pub(super) fn estimate(joins: &[LinkJoin<'_>], options: &Options) -> Vec<Result<
             let Some(next) = ClockOffset::of(&likelier, &options) else { break };
             let is_settled = next.log_ratio < SETTLED;
             if !is_settled || next.sd_s < found.sd_s {
-                found = ClockOffset { log_ratio: found.log_ratio, ..next };
+                found = ClockOffset { offset_s: next.offset_s, sd_s: next.sd_s, ..found };
             }
             if is_settled {
                 break;

@@ -104,7 +104,7 @@ impl CaptureReport {
     /// What the phases say of the receiver's clock, if that puts its bearings in doubt.
     #[must_use]
     pub fn clock_doubt(&self) -> Option<ClockOffset> {
-        self.links.iter().find_map(|link| link.bearing.as_ref().ok()?.clock_offset).filter(ClockOffset::is_doubt)
+        self.links.iter().find_map(|link| link.bearing.as_ref().ok()?.clock_offset).filter(|found| found.doubt)
     }
 }
 

@@ -198,7 +198,7 @@ fn origin(answer: &Answer) -> String {
 /// What makes an answer poor.
 fn why(answer: &Answer, of: MirrorOf) -> String {
     let drives = matches!(of, MirrorOf::Motion);
-    if answer.clock_offset.is_some_and(|found| found.is_doubt()) {
+    if answer.clock_offset.is_some_and(|found| found.doubt) {
         "  Why: by the phases, the clocks of log and trajectory differ (see the note on --clock-offset).\n".into()
     } else if let Some(coherence) = answer.coherence.filter(|coherence| *coherence < LITTLE) {
         let wrong = if drives {
@@ -431,7 +431,7 @@ mod tests {
     fn clocks_that_differ_are_why_and_those_that_agree_a_detail() {
         let of = |log_ratio: f64, sd_s: f64| {
             let mut answer = answer(0.1, |_| ());
-            answer.clock_offset = Some(ClockOffset { offset_s: -0.004, sd_s, log_ratio });
+            answer.clock_offset = Some(ClockOffset { offset_s: -0.004, sd_s, log_ratio, doubt: log_ratio > 8.0 });
             (describe_with(&answer, MirrorOf::Motion, "", None), pairs(&answer))
         };
         assert!(of(20.0, 0.05).0.contains("Why: by the phases, the clocks"), "{}", of(20.0, 0.05).0);
