@@ -27,22 +27,22 @@ const BIN_S: f64 = 0.06;
 /// Between places so far apart in time the robot is taken to drive straight on, seconds: at 3 m/s^2 it is within 0.4 mm of that.
 const PATH_S: f64 = 0.03;
 
-/// What is needed to compare the clocks of a log and a trajectory.
+/// What is needed to look at other times.
 #[derive(Clone, Copy)]
-pub(crate) struct Clocks<'a> {
+pub(crate) struct OtherTimes<'a> {
     /// Of all pairs of the link, seconds on the trajectory's clock.
     pub times_s: &'a [f64],
     /// Receiver less transmitter at a time, metres.
     pub displacement_m: &'a (dyn Fn(f64) -> Option<Vector3<f64>> + Sync),
 }
 
-/// Seconds to be added to the times of the samples: what [`Clocks::logs`] has values for.
+/// Seconds to be added to the times of the samples: what [`OtherTimes::logs`] has values for.
 pub(crate) fn offsets_s() -> impl DoubleEndedIterator<Item = f64> + ExactSizeIterator {
     let steps = (REACH_S / STEP_S).round() as i32;
     (-steps..steps + 1).map(|k| f64::from(k) * STEP_S)
 }
 
-impl Clocks<'_> {
+impl OtherTimes<'_> {
     /// `ln` of the likelihood of a place, metres from the motion's middle, turned with the motion, at each of [`offsets_s`]. `rows` are all
     /// pairs of the link, as round trips or one-way channels: a path's phase is so many times in them.
     pub(super) fn logs(

@@ -31,7 +31,7 @@ use crate::maths::wrap_rad;
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::Planes;
 use crate::signal::samples::Samples;
-pub(crate) use clock::Clocks;
+pub(crate) use clock::OtherTimes;
 pub(crate) use combine::both;
 use likelihood::{Field, Place, Ways};
 use nalgebra::Vector3;
@@ -109,8 +109,8 @@ pub(crate) struct Task<'a> {
     pub tier: Tier,
     /// Of an array on a robot that drives: where its antennas are.
     pub drive: Option<&'a MovingArray>,
-    /// If the clocks of samples and trajectory are to be compared.
-    pub clocks: Option<Clocks<'a>>,
+    /// If the likelihood at other times is asked for.
+    pub other_times: Option<OtherTimes<'a>>,
 }
 
 /// An array on a robot that drives: a sample holds the way to the end of a baseline less the way to its foot. The direction changes
@@ -243,7 +243,7 @@ pub(crate) struct Found {
     pub middle_m: Vector3<f64>,
     /// Standard deviation of the path's scale.
     pub scale_sd: f64,
-    /// `ln` of the likelihood at other times ([`clock::offsets_s`]), if [`Task::clocks`] asked for it and one wave is not the whole answer.
+    /// `ln` of the likelihood at other times ([`clock::offsets_s`]), if [`Task::other_times`] asked for it and one wave is not the whole answer.
     pub at_other_times: Vec<f64>,
 }
 
@@ -453,8 +453,8 @@ pub(crate) fn estimate(
         return Ok(found);
     }
     let bound_rad = modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt());
-    let at_other_times = match (&task.clocks, start) {
-        (Some(clocks), Some(place)) => clocks.logs(task, (&rows, gain), &model, (middle_m, place)),
+    let at_other_times = match (&task.other_times, start) {
+        (Some(other_times), Some(place)) => other_times.logs(task, (&rows, gain), &model, (middle_m, place)),
         _ => Vec::new(),
     };
     let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry());

@@ -692,7 +692,7 @@ mod tests {
             align: true,
             one_way: true,
             drive: None,
-            clocks: None,
+            other_times: None,
             tier: Tier::detect(),
         };
         let used: Vec<usize> = (0..poses.len()).collect();

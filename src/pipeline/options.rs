@@ -196,7 +196,7 @@ impl Options {
             align: self.accuracy.align,
             one_way: self.accuracy.one_way,
             drive: None,
-            clocks: None,
+            other_times: None,
             tier: self.tier,
         }
     }
