@@ -1,9 +1,9 @@
 //! How well the phases fit the trajectory at other times.
 //!
-//! If the trajectory's clock is ahead of the log's by `d`, each sample gets a place where the robot was at another time. On a circle
-//! that turns every place, and so the bearing, by what the robot goes round in `d`: the error bar says nothing of it. But no robot
-//! drives like a clock: starts, stops and every change of speed are at their times. So the likelihood is computed for shifted times,
-//! each with the place turned as the motion is, and about that. Pairs taken at rest count, too: another clock may have them move.
+//! If the trajectory's clock is ahead of the log's by `d`, each sample gets the place where the robot was at another time. On a circle
+//! that turns the bearing by the angle that the robot covers in `d`, and the error bar does not contain it. Starts, stops and changes of
+//! speed give the offset away: they have to coincide in phases and trajectory. So the likelihood is computed for shifted times, each with
+//! the place turned as the motion is, and beside it. Pairs taken at rest count, too: by another clock the robot may move.
 
 use super::likelihood::{Field, Place};
 use super::posterior::log_sum;
@@ -13,18 +13,18 @@ use crate::signal::planes::Planes;
 use crate::signal::samples::Samples;
 use nalgebra::Vector3;
 
-/// Times are shifted by so much at most, seconds, and so finely.
+/// Largest shift and step, seconds.
 const REACH_S: f64 = 3.0;
 pub(crate) const STEP_S: f64 = 0.15;
-/// A longer motion is not compared, seconds: it rests or was recorded in parts.
+/// Longer motions are not compared, seconds: the robot rested in between, or they were recorded in parts.
 const LONGEST_S: f64 = 300.0;
-/// Azimuths on either side of the turned one, and their distance, in directions that the motion tells apart.
+/// Azimuths searched on each side of the turned one, and their spacing as a share of the motion's resolution.
 const BESIDE: i32 = 3;
 const AZIMUTH_STEP: f64 = 0.5;
-/// Phases are averaged over so many wavelengths and so many seconds at most.
+/// Phases are averaged over stretches of at most this many wavelengths and this many seconds.
 const BIN_WAVELENGTHS: f64 = 0.15;
 const BIN_S: f64 = 0.06;
-/// Between places so far apart in time the robot is taken to drive straight on, seconds: at 3 m/s^2 it is within 0.4 mm of that.
+/// Spacing of the sampled path, seconds: straight lines between its points err by at most 0.4 mm at 3 m/s^2.
 const PATH_S: f64 = 0.03;
 
 /// What is needed to look at other times.

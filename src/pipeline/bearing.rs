@@ -125,7 +125,7 @@ impl BearingAnswer {
         self.times(0.5)
     }
 
-    /// The same if other times are far likelier: no more probable than by the posterior of those, with bars that hold their bearing.
+    /// The same if other times are far likelier: its probability is at most that by their posterior, and its error bars contain their bearing.
     pub(super) fn doubted(mut self, likelier: &Bearing) -> Self {
         let probability = likelier.found.probability_about(self.azimuth_rad, RIGHT_RAD);
         let others = [Some(likelier.answer.azimuth_rad), likelier.answer.mirror_rad].into_iter().flatten();
@@ -335,7 +335,9 @@ impl Bearing {
         let count = self.density.len();
         let kind = |own: &BearingAnswer| [own.azimuth_rad, own.azimuth_sd_rad];
         // A doubt about the two logs remains one.
-        let believed = self.answer.probability / self.found.probability_within(RIGHT_RAD).max(f64::MIN_POSITIVE);
+        let undoubted = self.found.probability_within(RIGHT_RAD);
+        let believed =
+            if self.is_in_doubt() { self.answer.probability / undoubted.max(f64::MIN_POSITIVE) } else { 1.0 };
         Self {
             answer: BearingAnswer::of(&found, &self.samples).times(believed.min(1.0)),
             density: if count > 0 { found.density(count) } else { Vec::new() },

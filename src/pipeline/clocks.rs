@@ -8,16 +8,16 @@ use crate::source::survey::{HostSteps, SET_US, Survey};
 use serde::Serialize;
 use std::fmt;
 
-/// Times are in doubt from this logarithm of a likelihood ratio on, if they are this many deviations from the likeliest ones, and more than
-/// a step. With right clocks, 31 real captures by three sensors and 236 simulated ones reach a logarithm of 4.9. A real drive along a line
-/// reaches 15, at times that it hardly tells apart; a simulated arc and a line reach 13, 0.1 s off, where they have a wrong elevation.
+/// The given times are in doubt if others are likelier by this logarithm, and are away by this many deviations and by more than a step.
+/// With correct clocks, 31 real captures by three sensors and 236 simulated ones reach a logarithm of 4.9. A real drive along a line
+/// reaches 15, at times that it hardly tells apart; a simulated arc and a simulated line reach 13 and 11, 0.1 s away.
 const DOUBT: f64 = 8.0;
 const APART: f64 = 3.0;
-/// Estimates at likelier times at most, until no others are likelier by this logarithm.
+/// The estimate is repeated at the likeliest times at most this often, until no others are likelier by this logarithm.
 const ROUNDS: usize = 4;
 const SETTLED: f64 = 2.0;
 
-/// By how much the trajectory's clock is ahead of a log's, by the phases of all links: starts, stops and changes of speed are in both.
+/// The trajectory's clock less the receiver's host clock, estimated from the phases of all links.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ClockOffset {
     /// What [`Options::clock_offset_s`] should be, seconds.
@@ -52,6 +52,7 @@ impl ClockOffset {
             sum / total
         };
         let offset_s = mean(&|own_s| own_s);
+        // The fine steps are uniform within themselves.
         let sd_s = (mean(&|own_s| (own_s - offset_s).powi(2)) + STEP_S * STEP_S / 300.0).sqrt();
         let log_ratio = highest - given;
         let doubt = log_ratio > DOUBT && offset_s.abs() > STEP_S.max(APART * sd_s);
@@ -74,7 +75,7 @@ impl fmt::Display for ClockOffset {
 }
 
 /// The bearings of a receiver's links, and what their phases say of its clock. If other times are far likelier, probabilities and
-/// error bars are about those.
+/// error bars refer to those.
 pub(super) fn estimate(joins: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing, LinkError>> {
     let at = |options: &Options| estimate_with(joins, (options, Clocks::Compared));
     let shifted = |found: &ClockOffset| Options { clock_offset_s: found.offset_s, ..options.clone() };

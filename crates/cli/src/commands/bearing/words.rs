@@ -16,7 +16,7 @@ const GOOD: f64 = 0.8;
 const FAIR: f64 = 0.5;
 /// An answer without a probability that is wider than this, degrees, is poor: nearly half a turn holds 68 %.
 const WIDE_DEG: f64 = 60.0;
-/// Phases that leave the clocks' difference with a larger deviation do not tell it, seconds.
+/// With a larger deviation, seconds, the phases do not determine the clocks' difference.
 const TELLS_S: f64 = 0.3;
 /// If one wave explains a smaller share of the phases than this, the path may be wrong.
 const LITTLE: f64 = 0.3;
