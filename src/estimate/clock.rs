@@ -3,7 +3,8 @@
 //! If the trajectory's clock is ahead of the log's by `d`, each sample gets the place where the robot was at another time. On a circle
 //! that turns the bearing by the angle that the robot covers in `d`, and the error bar does not contain it. Starts, stops and changes of
 //! speed give the offset away: they have to coincide in phases and trajectory. So the likelihood is computed for shifted times, each with
-//! the place turned as the motion is, and beside it. Pairs taken at rest count, too: by another clock the robot may move.
+//! the place turned as the motion is, and beside it; in all directions where the motion is not only turned, as in a figure of eight.
+//! Pairs taken at rest count, too: by another clock the robot may move.
 
 use super::likelihood::{Field, Place};
 use super::posterior::log_sum;
@@ -12,14 +13,17 @@ use super::{Model, Task, radius_m, tuning};
 use crate::signal::planes::Planes;
 use crate::signal::samples::Samples;
 use nalgebra::Vector3;
+use std::f64::consts::TAU;
 
 /// Largest shift and step, seconds.
 const REACH_S: f64 = 3.0;
-pub(crate) const STEP_S: f64 = 0.15;
+pub(crate) const STEP_S: f64 = 0.1;
 /// Longer motions are not compared, seconds: the robot rested in between, or they were recorded in parts.
 const LONGEST_S: f64 = 300.0;
+/// A shifted motion less alike than this is not only turned: any direction may be right by it.
+const ALIKE: f64 = 0.97;
 /// Azimuths searched on each side of the turned one, and their spacing as a share of the motion's resolution.
-const BESIDE: i32 = 3;
+const BESIDE: i32 = 2;
 const AZIMUTH_STEP: f64 = 0.5;
 /// Phases are averaged over stretches of at most this many wavelengths and this many seconds.
 const BIN_WAVELENGTHS: f64 = 0.15;
@@ -68,8 +72,7 @@ impl OtherTimes<'_> {
             if model.prior.is_signed() { point } else { Vector3::new(point.x, point.y, 0.0) }
         };
         let path = Path::new([from_s - 2.0 * REACH_S, to_s + 2.0 * REACH_S], point);
-        let at = |t_s: f64| path.at(t_s);
-        let points: Vec<Vector3<f64>> = times_s.iter().map(|t_s| at(*t_s)).collect();
+        let points: Vec<Vector3<f64>> = times_s.iter().map(|t_s| path.at(*t_s)).collect();
         let bins = Bins::of_way_and_time((BIN_WAVELENGTHS * wavelength_m, &points), (BIN_S, &times_s));
         let own = bins.points_m(&points);
         let path_m: f64 = own.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
@@ -82,13 +85,17 @@ impl OtherTimes<'_> {
         let mut field = Field::new(&own, apertures, wavelength_m, independent, tuning::WINDOW_LENGTHS, task.tier);
         let times_s = bins.means_of(&times_s);
         let apart_rad = wavelength_m / f64::from(samples.path_gain()) / radius_m(&model.points);
+        let at = |azimuth: f64| model.prior.at_height(Place { azimuth, ..place });
+        let beside = |field: &Field, azimuth: f64| {
+            let near = |k: i32| at(azimuth + f64::from(k) * AZIMUTH_STEP * apart_rad);
+            log_sum(&field.log_likelihoods(&(-BESIDE..=BESIDE).map(near).collect::<Vec<_>>()))
+        };
         let log = |offset_s: f64| {
-            let shifted: Vec<Vector3<f64>> = times_s.iter().map(|t_s| at(t_s + offset_s)).collect();
-            let azimuth = place.azimuth + turn_rad(&own, &shifted);
-            let beside = |k: i32| Place { azimuth: azimuth + f64::from(k) * AZIMUTH_STEP * apart_rad, ..place };
-            let places: Vec<Place> = (-BESIDE..=BESIDE).map(|k| model.prior.at_height(beside(k))).collect();
+            let shifted: Vec<Vector3<f64>> = times_s.iter().map(|t_s| path.at(t_s + offset_s)).collect();
             field.set_points(&shifted);
-            log_sum(&field.log_likelihoods(&places))
+            let (turned_rad, alike) = turned(&own, &shifted);
+            let by_turn = beside(&field, place.azimuth + turned_rad);
+            if alike >= ALIKE { by_turn } else { by_turn.max(beside(&field, likeliest_rad(&field, model, at))) }
         };
         offsets_s().map(log).collect()
     }
@@ -128,14 +135,24 @@ fn between(samples: &Samples, t_s: f64) -> Vector3<f64> {
     }
 }
 
-/// By how much a motion is turned about the vertical against another, by least squares over its steps, radians. Where either rests, it
-/// tells nothing.
-fn turn_rad(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> f64 {
-    let (mut along, mut across) = (0.0, 0.0);
+/// The azimuth of the likeliest of places all around, radians.
+fn likeliest_rad(field: &Field, model: &Model, at: impl Fn(f64) -> Place) -> f64 {
+    let count = (TAU / model.steps.azimuth()).ceil().max(1.0) as usize;
+    let places: Vec<Place> = (0..count).map(|k| at(TAU * k as f64 / count as f64)).collect();
+    let logs = field.log_likelihoods(&places);
+    let best = (0..count).max_by(|a, b| logs[*a].total_cmp(&logs[*b])).unwrap_or(0);
+    places[best].azimuth
+}
+
+/// By how much a motion is turned about the vertical against another, by least squares over its steps, radians, and how much it is then
+/// alike: 1 where each step is turned by as much. Where either rests, it tells nothing.
+fn turned(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> (f64, f64) {
+    let (mut along, mut across, mut most) = (0.0, 0.0, 0.0);
     for (from, to) in from.windows(2).zip(to.windows(2)) {
-        let (from, to) = (from[1] - from[0], to[1] - to[0]);
-        along += from.x * to.x + from.y * to.y;
-        across += from.x * to.y - from.y * to.x;
+        let (from, to) = ((from[1] - from[0]).xy(), (to[1] - to[0]).xy());
+        along += from.dot(&to);
+        across += from.perp(&to);
+        most += from.norm() * to.norm();
     }
-    across.atan2(along)
+    (across.atan2(along), across.hypot(along) / most.max(f64::MIN_POSITIVE))
 }

@@ -10,7 +10,8 @@ use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::num_complex::Complex32;
 use csi5300::pipeline::{
-    Answer, Array, ArrayFrame, Bearing, JoinBy, OneLog, Options, Transmitter, bearings, lost_something, one_log,
+    Answer, Array, ArrayFrame, Bearing, CaptureReport, JoinBy, OneLog, Options, Transmitter, bearings, lost_something,
+    one_log,
 };
 use csi5300::source::other_card::Translated;
 use csi5300::source::replay::Replay;
@@ -139,17 +140,35 @@ fn three_robots(motion: &str, seed: u64, has_walls: bool) -> Simulation {
     run_room(&scene)
 }
 
+fn at_clock_offset(run: &Simulation, offset_s: f64, join: JoinBy) -> CaptureReport {
+    let options = Options { clock_offset_s: offset_s, join, ..Options::new("108".parse().unwrap()) };
+    let [mut rx, mut one, mut two] = [0, 1, 2].map(|k| run.robots[k].replay());
+    let transmitters = [&mut one, &mut two].map(|log| Transmitter { log, trajectory: None }).into();
+    bearings(&mut rx, transmitters, run.robots[0].true_path.as_ref().unwrap(), &options).unwrap()
+}
+
+/// At other times these motions are not turned alone, so the place by wrong times leads to no right one.
+#[test]
+fn motions_that_turn_both_ways_tell_clocks_that_differ() {
+    let eight = "{ figure_eight = { radius_m = 0.4, duration_s = 12.0, start_s = 1.5 } }";
+    let square = "{ square = { side_m = 0.6, duration_s = 12.0, start_s = 1.5 } }";
+    for (motion, seed) in [(eight, 3), (eight, 4), (square, 3)] {
+        let run = three_robots(motion, seed, true);
+        assert_eq!(at_clock_offset(&run, 0.0, JoinBy::Time).clock_doubt(), None, "{motion}");
+        for offset_s in [0.3, -0.6, 2.0] {
+            let doubt = at_clock_offset(&run, offset_s, JoinBy::Time).clock_doubt();
+            println!("{motion}, {offset_s} s: {doubt:?}");
+            assert!(doubt.is_some_and(|found| found.offset_s.abs() < 0.1), "{motion}, {offset_s} s: {doubt:?}");
+        }
+    }
+}
+
 #[test]
 fn clocks_that_differ_are_told_with_their_offset() {
     let circle = "{ circle = { radius_m = 0.3, duration_s = 6.0, start_s = 2.5 } }";
     for has_walls in [true, false] {
         let run = three_robots(circle, 5, has_walls);
-        let at = |offset_s: f64, join: JoinBy| {
-            let options = Options { clock_offset_s: offset_s, join, ..Options::new("108".parse().unwrap()) };
-            let [mut rx, mut one, mut two] = [0, 1, 2].map(|k| run.robots[k].replay());
-            let transmitters = [&mut one, &mut two].map(|log| Transmitter { log, trajectory: None }).into();
-            bearings(&mut rx, transmitters, run.robots[0].true_path.as_ref().unwrap(), &options).unwrap()
-        };
+        let at = |offset_s: f64, join: JoinBy| at_clock_offset(&run, offset_s, join);
         let right = at(0.0, JoinBy::Time);
         assert!(right.clock_doubt().is_none() && !lost_something(&right), "{has_walls}: {:?}", right.clock_doubt());
         for offset_s in [0.3, -0.3, 1.5, -1.5, 4.0] {
