@@ -135,6 +135,7 @@ pub fn must_not_exist(output: &Path, force: bool) -> Words<()> {
     // Standard output is one of the program's own.
     let is_own = |path: &Path| path.starts_with("/dev") || path.starts_with("/proc");
     match output.metadata() {
+        _ if output.as_os_str() == "-" => Err("- is no output: name a file, or /dev/stdout".into()),
         Ok(found) if force && found.file_type().is_fifo() && !is_own(output) => {
             Err(format!("{} is a pipe, which --force does not replace", output.display()))
         }

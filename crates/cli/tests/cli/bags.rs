@@ -198,6 +198,7 @@ fn a_log_becomes_a_recording_also_without_frame_numbers() {
     folder.write("empty.dat", b"");
     folder.says(&["mcap", "empty.dat", "--out", "e.mcap"], 1, &["nothing to write: no e.mcap"]);
     folder.says(&["mcap", "stock.dat", "--out", "none/o.mcap"], 1, &["cannot write none/o.mcap: No such file"]);
+    folder.says(&["mcap", "stock.dat", "--out", "-"], 1, &["- is no output: name a file, or /dev/stdout"]);
     folder.says(&["unbag", "gone.mcap", "--out", "u"], 1, &["gone.mcap"]);
     assert!(!folder.0.join("e.mcap").exists() && !folder.0.join("u").exists());
 }
