@@ -151,6 +151,13 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     let (_, out, errors) = run(&["--bag", "camera.mcap", "--rx", "/a/csi"]);
     assert_eq!(answers(&out), answers(&camera), "{errors}");
     assert_ne!(answers(&camera), answers(&expected));
+    // Poses without a stamp are none.
+    let mut pose = PoseStamped::default();
+    pose.pose.orientation.w = 1.0;
+    topics[2].2 = vec![pose.payload(); 3];
+    std::fs::write(folder.0.join("unstamped.mcap"), mcap(&topics)).unwrap();
+    let unstamped = ["/t265/odom: 3 messages are unreadable and skipped (poses need a stamp)"];
+    folder.says(&["unbag", "unstamped.mcap", "--out", "u"], 3, &unstamped);
 }
 
 #[test]
