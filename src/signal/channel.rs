@@ -50,8 +50,9 @@ pub struct Channel {
 pub struct ChannelError(String);
 
 /// The accepted forms of a channel, for error messages.
-const KNOWN: &str = "1 to 14 (2.4 GHz), or 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177 (5 GHz), with + or - for 40 MHz, for \
-                     example 108 or 36+; any other by its centre, for example 5290MHz (80 MHz wide) or 6115MHz (6 GHz)";
+const KNOWN: &str = "1 to 14 (2.4 GHz), or 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177 (5 GHz); of 40 MHz the lower \
+                     half with + or the upper with -, for example 36+ or 40-; any other by its centre, for example 5290MHz \
+                     (80 MHz wide) or 6115MHz (6 GHz)";
 
 fn no_channel(named: impl fmt::Display) -> ChannelError {
     ChannelError(format!("`{named}` is no channel"))
@@ -63,6 +64,20 @@ fn is_assigned(number: u32) -> bool {
         1..=14 | 34 | 36 | 38 | 40 | 42 | 44 | 46 => true,
         48..=64 | 100..=144 | 184..=196 => number.is_multiple_of(4),
         149..=177 => number % 4 == 1,
+        _ => false,
+    }
+}
+
+/// Whether this may be the lower (+) or the upper (-) half of 40 MHz (802.11-2016 annex E, classes 83, 84, 116 to 127).
+fn is_half(number: u32, width: Width) -> bool {
+    match (width, number) {
+        (Width::Ht20, _) => true,
+        (Width::Ht40Plus, 1..=14) => number <= 9,
+        (Width::Ht40Minus, 1..=14) => (5..=13).contains(&number),
+        (Width::Ht40Plus, 36..=144) => number % 8 == 4,
+        (Width::Ht40Minus, 36..=144) => number.is_multiple_of(8),
+        (Width::Ht40Plus, 149..=177) => number % 8 == 5,
+        (Width::Ht40Minus, 149..=177) => number % 8 == 1,
         _ => false,
     }
 }
@@ -154,7 +169,8 @@ impl FromStr for Channel {
             _ => (text, Width::Ht20),
         };
         let number = digits.parse().map_err(|_| wrong())?;
-        Self::new(number, width).ok().filter(|_| is_assigned(number)).ok_or_else(wrong)
+        let is_known = is_assigned(number) && is_half(number, width);
+        Self::new(number, width).ok().filter(|_| is_known).ok_or_else(wrong)
     }
 }
 
@@ -178,10 +194,16 @@ mod tests {
 
     #[test]
     fn texts_name_channels_that_there_are() {
-        for text in ["1", "14", "36", "36+", "64", "100", "108", "144", "149", "165", "196"] {
+        for text in [
+            "1", "14", "36", "36+", "64", "100", "108", "144", "149", "165", "196", "9+", "13-", "60+", "64-", "104-",
+            "108+", "157+", "177-",
+        ] {
             assert_eq!(text.parse::<Channel>().map(|channel| channel.to_string()), Ok(text.into()));
         }
-        for text in ["0", "15", "37", "50", "66", "99", "110", "148", "152", "180", "197", "14+", "x"] {
+        for text in [
+            "0", "15", "37", "50", "66", "99", "110", "148", "152", "180", "197", "14+", "10+", "4-", "64+", "36-",
+            "104+", "149-", "34+", "x",
+        ] {
             let error = text.parse::<Channel>().unwrap_err().to_string();
             assert!(error.contains("no channel"), "{text}: {error}");
         }

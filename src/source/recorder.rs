@@ -671,8 +671,11 @@ impl<'a> Part<'a> {
     }
 }
 
-/// True for a pipe with a name.
+/// True for a pipe with a name, and for `-`, by which standard output is meant.
 fn is_pipe(path: &Path) -> bool {
+    if path.as_os_str() == "-" {
+        return true;
+    }
     #[cfg(unix)]
     {
         use std::os::unix::fs::FileTypeExt;
@@ -1325,6 +1328,8 @@ mod tests {
             std::fs::remove_file(&name).unwrap();
             assert!(!log.exists() && !side_path(&log).exists());
         }
+        let refused = LogFiles::create(Path::new("-"), Rotation::default(), true);
+        assert!(matches!(refused, Err(Error::IntoPipe { .. })), "no file of that name is made");
         std::fs::remove_dir_all(folder).unwrap();
     }
 

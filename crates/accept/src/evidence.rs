@@ -8,8 +8,9 @@ use csi5300::internal::{ByClock, Refusal};
 use csi5300::motion::pose::Trajectory;
 use csi5300::signal::cfo::{TurnAround, at_centre, round_trip_at_centre};
 use csi5300::signal::channel::{Channel, SUBCARRIERS};
+use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
-use csi5300::source::{CsiSource, Error, Injector, Next};
+use csi5300::source::{CsiSource, Error, Injector, Next, Stamps};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Antennas, Iq, MAX_SAMPLES, Repr};
@@ -86,6 +87,8 @@ pub struct Heard {
     pub survey: Survey,
     /// The bytes of a `.dat` file with the same records.
     pub log: Vec<u8>,
+    /// When the host received each record of the log, microseconds since the Unix epoch, as a side file has it.
+    pub times: Vec<Option<i64>>,
     /// The records come from a log, not from a card.
     pub recorded: bool,
     /// The end of each record in the log, bytes from its start.
@@ -99,8 +102,10 @@ impl Heard {
     }
 
     fn note(&mut self, next: &Next<'_>) {
-        if let Next::Record(_, record) = next {
-            csi5300::source::append(*record, &mut self.log);
+        if let Next::Record(stamps, record) = next
+            && csi5300::source::append(*record, &mut self.log)
+        {
+            self.times.push(stamps.host_us);
         }
         let Some((bfee, identity)) = self.survey.note(next) else { return };
         self.ends.push(self.log.len());
@@ -119,19 +124,52 @@ impl Heard {
         });
     }
 
-    /// All records of a log's bytes.
-    #[must_use]
-    pub fn of_log(bytes: &[u8]) -> Self {
+    /// All records of a log.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn of(log: &mut impl CsiSource) -> Result<Self, Error> {
         let mut heard = Self { recorded: true, ..Self::default() };
-        let mut replay = csi5300::source::replay::Replay::new(bytes, "log".into());
-        while let Ok(next) = replay.receive(Instant::ZERO) {
+        loop {
+            let next = log.receive(Instant::ZERO)?;
             let end = matches!(next, Next::End(_));
             heard.note(&next);
             if end {
-                break;
+                return Ok(heard);
             }
         }
-        heard
+    }
+
+    /// All records of a log's bytes, which have no side file.
+    #[must_use]
+    pub fn of_log(bytes: &[u8]) -> Self {
+        Self::of(&mut Replay::new(bytes, "log".into())).unwrap_or_default()
+    }
+
+    /// Its records again, with their host times.
+    pub(crate) fn again(&self) -> impl CsiSource + '_ {
+        Again { log: Replay::new(self.log.as_slice(), "log".into()), times: self.times.iter() }
+    }
+}
+
+/// A card's log and the host times beside it.
+struct Again<'a> {
+    log: Replay<&'a [u8]>,
+    times: std::slice::Iter<'a, Option<i64>>,
+}
+
+impl CsiSource for Again<'_> {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        Ok(match self.log.receive(now)? {
+            Next::Record(stamps, record) => {
+                Next::Record(Stamps { host_us: self.times.next().copied().flatten(), ..stamps }, record)
+            }
+            next => next,
+        })
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        self.log.next_at()
     }
 }
 

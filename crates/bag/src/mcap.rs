@@ -282,7 +282,11 @@ impl State {
                 let (number, schema) = (u16::read(&mut from)?, u16::read(&mut from)?);
                 let (topic, encoding) = (String::read(&mut from)?, String::read(&mut from)?);
                 let kind = self.schemas.get(&schema).cloned().unwrap_or_default();
-                self.channels.insert(number, Channel { topic, kind, encoding });
+                let channel = match encoding.as_str() {
+                    "ros1" => Channel::of_ros1(topic, &kind),
+                    _ => Channel { topic, kind, encoding },
+                };
+                self.channels.insert(number, channel);
             }
             kind::MESSAGE => {
                 let number = u16::read(&mut from)?;
@@ -488,6 +492,19 @@ mod tests {
             bytes = &bytes[9 + length..];
         }
         all
+    }
+
+    #[test]
+    fn a_converted_bag_of_ros_1_has_the_types_of_ros_2() {
+        let mut state = State::default();
+        let of = |numbers: &[u16], words: [&str; 2]| {
+            let mut content: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+            words.iter().for_each(|word| text(word, &mut content));
+            content
+        };
+        state.record(kind::SCHEMA, &of(&[7], ["nav_msgs/Odometry", "ros1msg"])).unwrap();
+        state.record(kind::CHANNEL, &of(&[2, 7], ["/odom", "ros1"])).unwrap();
+        assert_eq!(state.channels[&2].kind, "nav_msgs/msg/Odometry");
     }
 
     #[test]

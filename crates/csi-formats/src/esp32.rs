@@ -1,7 +1,8 @@
 //! The ESP32: lines of text of ESP32-CSI-Tool and of Espressif's esp-csi.
 //!
-//! A line is `CSI_DATA`, columns separated by commas, and the samples in brackets: i8, imaginary part first, separated by
-//! blanks (ESP32-CSI-Tool) or commas (esp-csi). A header line names the columns; without one, their number identifies the
+//! A line is `CSI_DATA`, columns separated by commas, and the samples in brackets: i8 (i16 where newer esp-csi multiplies them by a
+//! gain), imaginary part first, separated by blanks (ESP32-CSI-Tool) or commas (esp-csi). The clock of esp-csi is printed as
+//! an i32, which is negative from 36 minutes on. A header line names the columns; without one, their number identifies the
 //! tool. Other lines, such as the ESP32's own messages, are skipped.
 //!
 //! The samples are those of the legacy training field, then of the HT one, 64 subcarriers each at 20 MHz (ESP-IDF,
@@ -103,7 +104,7 @@ fn read(text: &str, columns: &mut Option<Columns>) -> Option<Frame> {
     }
     let channel = number("channel").and_then(|channel| u16::try_from(channel).ok());
     Some(Frame {
-        clock: number("local_timestamp").and_then(|us| u64::try_from(us).ok()).map(|us| Clock::us(us, 32)),
+        clock: number("local_timestamp").map(|us| Clock::us((us as u32).into(), 32)),
         host_us: number("real_time_set").filter(|is_set| *is_set == 1).and_then(|_| host_us(field("real_timestamp")?)),
         sender: field("mac").and_then(mac),
         centre_mhz: channel.filter(|channel| (1..=14).contains(channel)).map(|channel| centre_mhz(channel, side)),
@@ -120,7 +121,7 @@ fn read(text: &str, columns: &mut Option<Columns>) -> Option<Frame> {
 /// Numbers in brackets as pairs, imaginary part first.
 fn pairs(text: &str) -> Option<Vec<[f32; 2]>> {
     let parts = text.split([' ', ',']).filter(|part| !part.is_empty());
-    let numbers: Vec<f32> = parts.map(|part| part.parse::<i8>().ok().map(f32::from)).collect::<Option<_>>()?;
+    let numbers: Vec<f32> = parts.map(|part| part.parse::<i16>().ok().map(f32::from)).collect::<Option<_>>()?;
     let (pairs, rest) = numbers.as_chunks::<2>();
     (rest.is_empty() && !pairs.is_empty()).then(|| pairs.iter().map(|[im, re]| [*re, *im]).collect())
 }
@@ -221,6 +222,16 @@ mod tests {
             assert_eq!((frame.csi[3], frame.subcarriers[32], frame.kind), ([-3.0, 3.0], -32, Some(Kind::Legacy)));
             assert_eq!([0, 1, 26, 27, 37, 38].map(|k| frame.measured[k]), [false, first, true, false, false, true]);
         }
+    }
+
+    #[test]
+    fn a_signed_clock_and_samples_times_a_gain_are_read() {
+        let line = format!(
+            "CSI_DATA,7,3c:71:bf:6d:2a:78,-73,11,0,0,0,1,1,0,0,0,0,-93,0,6,0,-2147483648,0,101,0,128,0,[300,-129,{}]\n",
+            samples(63, ",")
+        );
+        let frame = &frames(&line)[0];
+        assert_eq!((frame.clock, frame.csi[0]), (Some(Clock::us(1 << 31, 32)), [-129.0, 300.0]));
     }
 
     #[test]

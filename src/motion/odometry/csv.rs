@@ -614,8 +614,7 @@ fn headed(head: &[(u64, String)], row: &[&str], by: char) -> Result<Option<Colum
 fn named_by(names: &[&str], row: &[&str], units: Option<&[Option<f64>]>) -> (usize, Result<Columns, String>) {
     let mut columns = Columns::default();
     let mut known = 0;
-    let mut put = Ok(());
-    let mut unknown = None;
+    let (mut put, mut unknown) = (Ok(()), Vec::new());
     for (at, name) in names.iter().enumerate() {
         let is_text = row.get(at).is_some_and(|cell| number(cell).is_none());
         if let Some(mut column) = column(at, name) {
@@ -626,15 +625,20 @@ fn named_by(names: &[&str], row: &[&str], units: Option<&[Option<f64>]>) -> (usi
             put = put.and(columns.put(column));
         } else if is_text && words_of(name).0.iter().any(|word| is_one_of(WHOSE, word)) {
             columns.frames.push(at);
-        } else if name.split_once(['[', '(']).is_some_and(|(bare, _)| column(at, bare).is_some()) {
-            unknown.get_or_insert_with(|| format!("; the unit of `{}` is not known", name.trim()));
+        } else if let Some(column) = name.split_once(['[', '(']).and_then(|(bare, _)| column(at, bare)) {
+            unknown.push((column.what, name.trim()));
         }
     }
+    // A column of another name may have the same.
+    put = match unknown.iter().find(|(what, _)| columns.column(*what).is_none()) {
+        Some((_, name)) => put.and(Err(format!("have `{name}`, whose unit is not known"))),
+        None => put,
+    };
     let whole = put.and_then(|()| columns.whole()).and_then(|columns| match columns.width() {
         width if width > row.len() => Err(format!("name {width} columns, and the first row has {}", row.len())),
         _ => Ok(columns),
     });
-    (known, whole.map_err(|why| why + unknown.as_deref().unwrap_or_default()))
+    (known, whole)
 }
 
 /// The columns of Motive's export: those of the first rigid body. Its axes are x, y up, z towards the one who looks.
@@ -1516,9 +1520,15 @@ mod tests {
             matches!(parse(two.as_bytes()), Err(CsvError::Refused(why)) if why.contains("among those of")),
             "two robots"
         );
-        let inches = written("t,x [in],y [in]\n", "{t},{x},{y}");
-        let error = parse(inches.as_bytes()).unwrap_err().to_string();
-        assert!(error.contains("the unit of `x [in]` is not known"), "{error}");
+        for head in ["t,x [in],y,z,yaw", "t,x,y,z [in],yaw", "t,x,y,z,yaw [gon]"] {
+            let error =
+                parse(written(&format!("{head}\n"), "{t},{x},{y},{z},{yaw}").as_bytes()).unwrap_err().to_string();
+            let heading = head.split(',').find(|heading| heading.contains('[')).unwrap();
+            assert!(error.contains(&format!("have `{heading}`, whose unit is not known")), "{error}");
+        }
+        // What another column has, too, is not missed.
+        let twice = written("t,x,y,z,up [in]\n", "{t},{x},{y},{z},7");
+        must_be_arc("twice", parse(twice.as_bytes()), false, 1_700_000_000.0);
     }
 
     #[test]

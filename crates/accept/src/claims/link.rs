@@ -9,7 +9,6 @@ use crate::stats::{SURE, quantile};
 use csi5300::exchange::tdma::Phy;
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Options, Transmitter};
-use csi5300::source::replay::Replay;
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, rate};
 use driver_iface::radiotap::Bandwidth;
@@ -196,8 +195,7 @@ pub(super) fn rest(pairs: &Pairs, evidence: &Evidence) -> Told {
 pub(super) fn answer(evidence: &Evidence, options: Options) -> Result<(f64, f64, f64), String> {
     let truth = evidence.plan.truth.as_ref().ok_or(TRUTH)?;
     let far = evidence.far.as_ref().ok_or(TWO_CARDS)?;
-    let mut near_log = Replay::new(evidence.near.log.as_slice(), "near".into());
-    let mut far_log = Replay::new(far.log.as_slice(), "far".into());
+    let (mut near_log, mut far_log) = (evidence.near.again(), far.again());
     let transmitters = vec![Transmitter { log: &mut far_log, trajectory: None }];
     let report = csi5300::pipeline::bearings(&mut near_log, transmitters, &truth.trajectory, &options)
         .map_err(|error| error.to_string())?;

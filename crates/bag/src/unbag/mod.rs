@@ -8,10 +8,7 @@ mod sqlite;
 mod tests;
 
 use crate::cdr::{Cdr, CdrReader};
-use crate::messages::{Csi, Header, Odometry, Pose as PoseMessage, PoseStamped};
-use csi5300::internal::heading_of;
-use csi5300::motion::odometry::csv;
-use csi5300::motion::pose::Pose;
+use crate::messages::{Csi, Header, Odometry, Pose as PoseMessage, PoseStamped, Time};
 use driver_iface::bfee::{Iq, Repr, Wsr};
 use driver_iface::record::{Record, code};
 use std::collections::{BTreeMap, BTreeSet};
@@ -58,7 +55,7 @@ pub(crate) fn compressed_by(path: &Path, by: &str, convert: &str) -> BagError {
 pub enum Content {
     /// Records of a card (`csi5300_msgs/msg/Csi`): they make a log in the WSR layout.
     Csi,
-    /// Poses (`nav_msgs/msg/Odometry`, `geometry_msgs/msg/PoseStamped`): they make the rows of a trajectory.
+    /// Poses (`nav_msgs/msg/Odometry`, `geometry_msgs/msg/PoseStamped`): they make a trajectory with headings.
     Poses,
 }
 
@@ -73,11 +70,11 @@ impl Content {
         }
     }
 
-    /// The extension of its file.
-    fn ending(self) -> &'static str {
+    /// The extension of its file, and the file's first bytes.
+    fn file(self) -> (&'static str, &'static str) {
         match self {
-            Self::Csi => "dat",
-            Self::Poses => "csv",
+            Self::Csi => ("dat", ""),
+            Self::Poses => ("csv", "t,ns,frame,child_frame,x,y,z,qx,qy,qz,qw\n"),
         }
     }
 }
@@ -96,7 +93,7 @@ pub struct Topic {
     pub content: Content,
     /// Messages that were used.
     pub messages: u64,
-    /// Messages that are not of their type, or whose values no record or pose can have.
+    /// Messages that are not of their type, or whose values no record or pose can have; poses without a stamp.
     pub unreadable: u64,
     /// The log in the WSR layout, or the rows of the trajectory, made from its messages; empty once written.
     #[serde(skip)]
@@ -136,7 +133,7 @@ const MOST: u64 = 2 << 30;
 const WAITING: u64 = 16 << 20;
 
 impl Recording {
-    /// Reads the recording `bag` into memory: a record of two antennas takes 163 bytes, a pose about 60.
+    /// Reads the recording `bag` into memory: a record of two antennas takes 163 bytes, a pose about 120.
     ///
     /// # Errors
     /// If it cannot be read.
@@ -182,10 +179,11 @@ impl Recording {
             let key = (channel.topic.clone(), channel.kind.clone());
             let at = *numbers.entry(key).or_insert(topics.len());
             if at == topics.len() {
-                let file = PathBuf::from(name(&mut names, &channel.topic, content.ending()));
+                let (end, first) = content.file();
+                let file = PathBuf::from(name(&mut names, &channel.topic, end));
                 may(&file).map_err(BagError::Output)?;
                 let (topic, kind) = (channel.topic.clone(), channel.kind.clone());
-                topics.push(Topic { file, topic, kind, content, messages: 0, unreadable: 0, bytes: Vec::new() });
+                topics.push(Topic { file, topic, kind, content, messages: 0, unreadable: 0, bytes: first.into() });
             }
             let Some(one) = topics.get_mut(at) else { return Ok(()) };
             one.messages += u64::from(bytes.is_some());
@@ -206,8 +204,7 @@ impl Recording {
 
 /// A name that no other topic has: two topics may have the same name in plain letters.
 fn name(names: &mut BTreeSet<String>, topic: &str, end: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-    let stem: String = topic.trim_start_matches('/').chars().map(plain).collect();
+    let stem = topic.trim_start_matches('/').replace(|c: char| !c.is_ascii_alphanumeric(), "_");
     let stem = if stem.is_empty() { "topic".to_owned() } else { stem };
     let numbered = (2..).map(|k: u64| format!("{stem}-{k}.{end}"));
     let mut all = std::iter::once(format!("{stem}.{end}")).chain(numbered);
@@ -223,6 +220,13 @@ pub(crate) struct Channel {
     pub kind: String,
     /// `cdr`, or `ros1`.
     pub encoding: String,
+}
+
+impl Channel {
+    /// A topic of ROS 1, whose `nav_msgs/Odometry` is `nav_msgs/msg/Odometry` of ROS 2.
+    pub(crate) fn of_ros1(topic: String, kind: &str) -> Self {
+        Self { topic, kind: kind.replacen('/', "/msg/", 1), encoding: "ros1".into() }
+    }
 }
 
 /// Number of first bytes that identify a file's kind.
@@ -359,20 +363,26 @@ fn bytes(channel: &Channel, payload: &[u8]) -> Option<Vec<u8>> {
         "csi5300_msgs/msg/Csi" => record(&Csi::read(&mut from).ok()?),
         "nav_msgs/msg/Odometry" => {
             let told = Odometry::read(&mut from).ok()?;
-            row(&told.header, &told.pose.pose)
+            row(&told.header, &told.child_frame_id, &told.pose.pose)
         }
         _ => {
             let told = PoseStamped::read(&mut from).ok()?;
-            row(&told.header, &told.pose)
+            row(&told.header, "", &told.pose)
         }
     }
 }
 
-fn row(header: &Header, pose: &PoseMessage) -> Option<Vec<u8>> {
-    let pose = pose.isometry()?;
-    let heading_rad = Some(heading_of(&pose.rotation));
-    let t_s = header.stamp.us() as f64 * 1e-6;
-    Some(csv::line(&Pose { t_s, position_m: pose.translation.vector, heading_rad }).into_bytes())
+/// A row with the whole attitude and the frames, which a trajectory's reader compares; `None` without a stamp.
+fn row(header: &Header, child_frame: &str, pose: &PoseMessage) -> Option<Vec<u8>> {
+    let pose = pose.isometry().filter(|_| header.stamp != Time::default())?;
+    let [frame, child] =
+        [&header.frame_id, child_frame].map(|name| name.replace([',', ';', '"', '\t', '\r', '\n'], "_"));
+    let (Time { sec, nanosec }, p, q) = (&header.stamp, pose.translation.vector, pose.rotation);
+    let row = format!(
+        "{sec},{nanosec},{frame},{child},{:.6},{:.6},{:.6},{:.9},{:.9},{:.9},{:.9}\n",
+        p.x, p.y, p.z, q.i, q.j, q.k, q.w
+    );
+    Some(row.into_bytes())
 }
 
 /// Two bits that name no antenna.

@@ -134,10 +134,9 @@ fn record(
     }
 }
 
-/// The topic of a connection. `nav_msgs/Odometry` becomes `nav_msgs/msg/Odometry` of ROS 2.
+/// The topic of a connection.
 fn channel(header: &[u8], data: &[u8]) -> Channel {
-    let kind = text(data, "type").unwrap_or_default().replacen('/', "/msg/", 1);
-    Channel { topic: text(header, "topic").unwrap_or_default(), kind, encoding: "ros1".into() }
+    Channel::of_ros1(text(header, "topic").unwrap_or_default(), &text(data, "type").unwrap_or_default())
 }
 
 /// The connections in the index at the end of a bag, which repeats them in case the first chunk with one is damaged. `None`

@@ -4,6 +4,7 @@ use super::*;
 use crate::cdr::Cdr;
 use crate::mcap::McapWriter;
 use crate::messages::{Clock, Csi, Header, Message, Odometry, PoseStamped, Time};
+use csi5300::motion::odometry::csv;
 use csi5300::signal::csi::Csi as Matrix;
 use csi5300::source::survey::Survey;
 use csi5300::source::{Next, Stamps};
@@ -112,9 +113,43 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
     assert_eq!(matrix.as_slice().iter().map(|h| h.re as i8).collect::<Vec<_>>(), csi(2).re);
     assert_eq!(matrix.antenna(1), Some(driver_iface::bfee::Antenna::ALL[2]));
     let path = std::fs::read_to_string(out.join("odom.csv")).unwrap();
-    assert!(path.starts_with("12.000003,0,1.500000,"), "{path}");
+    assert_eq!(path.lines().next(), Some("t,ns,frame,child_frame,x,y,z,qx,qy,qz,qw"));
+    assert!(path.contains("\n12,3000,,base_link,1.500000,"), "{path}");
     let refused = Recording::write(folder, &out, |file| Err(format!("not {}", file.display()))).unwrap_err();
     assert_eq!(refused.to_string(), "not n_csi.dat");
+}
+
+#[test]
+fn poses_keep_their_attitude_and_frame_and_need_a_stamp() {
+    let tilted = |number: u32, frame: &str| {
+        let mut told = odometry(number);
+        told.header.frame_id = frame.into();
+        (told.pose.pose.orientation.y, told.pose.pose.orientation.w) = 15_f64.to_radians().sin_cos();
+        told
+    };
+    let read = |frames: [&str; 2]| {
+        let own = recorded(|writer| {
+            let unstamped = Odometry { header: Header::default(), ..tilted(2, "") };
+            [tilted(1, frames[0]), unstamped, tilted(3, frames[1])].iter().for_each(|told| put(writer, "/odom", told));
+            writer.finish().unwrap();
+        });
+        Recording::read(&own.0).unwrap().topics.remove(0)
+    };
+    // Also one that reads like a number, and one with what parts columns.
+    for frame in ["odom", "", "1", "a,\"b;"] {
+        let one = read([frame; 2]);
+        assert_eq!((one.messages, one.unreadable), (2, 1));
+        let (path, counts) = csv::parse_topic(&one.bytes, "/odom").unwrap();
+        assert_eq!((counts.rows, counts.bad_rows, path.span_s()), (2, 0, (12.000001, 12.000003)));
+        // It leans forward by 30 degrees.
+        let text = String::from_utf8(one.bytes).unwrap();
+        assert!(
+            text.ends_with(",1.500000,0.000000,0.000000,0.000000000,0.258819045,0.000000000,0.965925826\n"),
+            "{text}"
+        );
+    }
+    let why = csv::parse_topic(&read(["odom", "map"]).bytes, "/odom").unwrap_err().to_string();
+    assert!(why.contains("poses of `map -> base_link` among those of `odom -> base_link`"), "{why}");
 }
 
 #[test]
@@ -217,9 +252,8 @@ fn of_files_put_one_behind_the_other_each_is_read() {
 fn topics_with_equal_or_empty_plain_names_get_separate_files() {
     let own = recorded(|writer| {
         for topic in ["/a/b", "/a_b", "", "/", "a/b"] {
-            let mut pose = PoseStamped::default();
-            pose.pose.orientation.w = 1.0;
-            put(writer, topic, &pose);
+            let Odometry { header, pose, .. } = odometry(1);
+            put(writer, topic, &PoseStamped { header, pose: pose.pose });
         }
         writer.finish().unwrap();
     });
@@ -350,7 +384,9 @@ fn a_database_with_deep_trees_and_overflow_pages_is_read() {
         read.topics.iter().map(|one| (one.topic.as_str(), one.content, one.messages, one.unreadable)).collect();
     assert_eq!(messages, [("/odom", Content::Poses, 12, 0), ("/n/csi", Content::Csi, 40, 0)]);
     let rows = String::from_utf8(read.topics[0].bytes.clone()).unwrap();
-    assert!(rows.starts_with("12.001000,0,0.500000,") && rows.contains("\n12.012000,0,6.000000,"), "{rows}");
+    for row in ["12,1000000,odom,base_link,0.500000,", "12,12000000,odom,base_link,6.000000,"] {
+        assert!(rows.contains(&format!("\n{row}")), "{rows}");
+    }
     // The fixture's messages compressed one by one, and the whole file.
     assert_eq!(contents(&read_of("packed.db3", &zstd(bytes)).unwrap()), contents(&read));
     // A cut file is read up to the cut; reading ends although pages lead back to themselves.
@@ -473,7 +509,8 @@ fn a_ros_1_bag_is_read() {
         let read = read_of(name, &bytes).unwrap();
         let counts: Vec<_> = read.topics.iter().map(|one| (one.topic.as_str(), one.messages, one.unreadable)).collect();
         assert_eq!((counts, read.others, read.cut.len()), (vec![("/odom", 1, 1), ("/csi", 1, 0)], 1, 0));
-        assert_eq!(read.topics[0].bytes, b"12.000000,0,1.500000,-2.000000,0.000000,0.000000,\n");
+        let rows = String::from_utf8(read.topics[0].bytes.clone()).unwrap();
+        assert!(rows.contains("\n12,500,odom,base,1.500000,-2.000000,0.000000,0.000000000,"), "{rows}");
         let cut = read_of(name, &bytes[..bytes.len() - 9]).unwrap();
         assert_eq!(cut.cut.len(), 1);
     }

@@ -135,6 +135,7 @@ pub fn must_not_exist(output: &Path, force: bool) -> Words<()> {
     // Standard output is one of the program's own.
     let is_own = |path: &Path| path.starts_with("/dev") || path.starts_with("/proc");
     match output.metadata() {
+        _ if output.as_os_str() == "-" => Err("- is no output: name a file, or /dev/stdout".into()),
         Ok(found) if force && found.file_type().is_fifo() && !is_own(output) => {
             Err(format!("{} is a pipe, which --force does not replace", output.display()))
         }
@@ -248,10 +249,7 @@ impl Inputs {
 
     /// True if parts of the recording are lost.
     pub fn lost(&self) -> bool {
-        self.recorded.as_ref().is_some_and(|(_, recording)| {
-            recording.damaged_parts + recording.without_topic > 0
-                || recording.topics.iter().any(|one| one.unreadable > 0)
-        })
+        self.recorded.as_ref().is_some_and(|(_, recording)| is_partial(recording))
     }
 
     /// The recording.
@@ -263,10 +261,6 @@ impl Inputs {
     fn say(&self) {
         let Some((bag, recording)) = &self.recorded else { return };
         say_lost(bag, recording);
-        for one in recording.topics.iter().filter(|one| one.unreadable > 0) {
-            let messages = super::some(one.unreadable, "message is", "messages are");
-            note!("{}: {messages} unreadable and skipped", one.topic);
-        }
     }
 
     fn choose(&self, rx: Option<PathBuf>, tx: Vec<PathBuf>, trajectory: Option<PathBuf>) -> Words<Named> {
@@ -337,6 +331,11 @@ impl Inputs {
     }
 }
 
+/// True if parts of a recording are unreadable.
+fn is_partial(recording: &Recording) -> bool {
+    recording.damaged_parts + recording.without_topic > 0 || recording.topics.iter().any(|one| one.unreadable > 0)
+}
+
 /// Reports missing ends and unreadable parts of a recording on standard error; true if parts are unreadable.
 pub fn say_lost(bag: &Path, recording: &Recording) -> bool {
     for file in &recording.cut {
@@ -350,7 +349,12 @@ pub fn say_lost(bag: &Path, recording: &Recording) -> bool {
         let messages = super::some(recording.without_topic, "message is", "messages are");
         note!("{}: {messages} of unknown topics: their description is damaged", bag.display());
     }
-    recording.damaged_parts + recording.without_topic > 0
+    for one in recording.topics.iter().filter(|one| one.unreadable > 0) {
+        let messages = super::some(one.unreadable, "message is", "messages are");
+        let needs = if one.content == Content::Poses { " (poses need a stamp)" } else { "" };
+        note!("{}: {messages} unreadable and skipped{needs}", one.topic);
+    }
+    is_partial(recording)
 }
 
 fn what(content: Content) -> &'static str {

@@ -40,15 +40,11 @@ pub fn run(args: &Args) -> Result {
             let (file, messages) = (topic.file.display(), super::some(topic.messages, "message", "messages"));
             super::print(&format!("{file}: {messages} of {} ({})\n", topic.topic, topic.kind));
         }
-        if topic.unreadable > 0 {
-            note!("{}: unreadable: {}", topic.topic, super::some(topic.unreadable, "message", "messages"));
-        }
     }
-    let parts_lost = super::files::say_lost(&args.bag, &done);
+    let lost = super::files::say_lost(&args.bag, &done);
     note!("{} of other topics", super::some(done.others, "message", "messages"));
     if done.topics.is_empty() {
         note!("nothing to write: no topic of CSI or poses in {}", args.bag.display());
     }
-    let lost = parts_lost || done.topics.iter().any(|topic| topic.unreadable > 0);
     Ok(Outcome::of(done.topics.iter().any(|topic| topic.messages > 0), lost))
 }

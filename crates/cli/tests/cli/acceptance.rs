@@ -101,6 +101,31 @@ fn logs_without_numbers_are_judged_by_the_clocks_of_their_cards() {
 }
 
 #[test]
+fn the_host_times_beside_a_stock_log_are_used_and_stay_beside_it() {
+    let folder = Folder::new("accept-beside");
+    let room = format!("seed = 3\n{}", PAIR.replace("card = \"ax210\"\n", ""));
+    let [near, far, path] = simulated(&folder, "room", &room, "rx_trajectory_");
+    for (log, stock) in [(&near, "near.dat"), (&far, "far.dat")] {
+        folder.says(&["export", "--dat", log, stock, "--layout", "stock"], 0, &[]);
+    }
+    // 25 cm to the left of where it began is the circle's middle.
+    let azimuth_deg = (9.0_f64 - 0.25).atan2(-4.0).to_degrees();
+    let desk = |logs: &str| {
+        format!(
+            "channel = \"108\"\nnear = \"{logs}near.dat\"\nfar = \"{logs}far.dat\"\n\
+             trajectory = \"{path}\"\nazimuth_deg = {azimuth_deg}\n"
+        )
+    };
+    for (name, logs, report) in [("first.toml", "", "one"), ("again.toml", "one/", "two")] {
+        folder.write(name, desk(logs).as_bytes());
+        let (out, _) = folder.says(&["doctor", "--accept", name, "--report", report, "-v"], 0, &[]);
+        for claim in ["host.clock             both", "truth.bearing          link"] {
+            assert!(out.contains(&format!("holds      {claim}")), "{claim}: {out}");
+        }
+    }
+}
+
+#[test]
 fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
     let folder = Folder::new("accept-together");
     let robot = |name: &str, more: &str| format!("[[robot]]\nname = \"{name}\"\nposition_m = {more}\n");

@@ -151,6 +151,13 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     let (_, out, errors) = run(&["--bag", "camera.mcap", "--rx", "/a/csi"]);
     assert_eq!(answers(&out), answers(&camera), "{errors}");
     assert_ne!(answers(&camera), answers(&expected));
+    // Poses without a stamp are none.
+    let mut pose = PoseStamped::default();
+    pose.pose.orientation.w = 1.0;
+    topics[2].2 = vec![pose.payload(); 3];
+    std::fs::write(folder.0.join("unstamped.mcap"), mcap(&topics)).unwrap();
+    let unstamped = ["/t265/odom: 3 messages are unreadable and skipped (poses need a stamp)"];
+    folder.says(&["unbag", "unstamped.mcap", "--out", "u"], 3, &unstamped);
 }
 
 #[test]
@@ -198,6 +205,7 @@ fn a_log_becomes_a_recording_also_without_frame_numbers() {
     folder.write("empty.dat", b"");
     folder.says(&["mcap", "empty.dat", "--out", "e.mcap"], 1, &["nothing to write: no e.mcap"]);
     folder.says(&["mcap", "stock.dat", "--out", "none/o.mcap"], 1, &["cannot write none/o.mcap: No such file"]);
+    folder.says(&["mcap", "stock.dat", "--out", "-"], 1, &["- is no output: name a file, or /dev/stdout"]);
     folder.says(&["unbag", "gone.mcap", "--out", "u"], 1, &["gone.mcap"]);
     assert!(!folder.0.join("e.mcap").exists() && !folder.0.join("u").exists());
 }

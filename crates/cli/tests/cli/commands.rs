@@ -526,7 +526,7 @@ fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
     // The channel is theirs; without them it has to be given.
     for with in ["scene.toml", "capture"] {
         assert_eq!(folder.run(&[&recorded[..], &[with, "--channel", "36"]].concat()).0, 0, "{with}");
-        folder.says(&[&recorded[..], &[with, "--channel", "34+"]].concat(), 1, &[]);
+        folder.says(&[&recorded[..], &[with, "--channel", "36+"]].concat(), 1, &[]);
         folder.says(
             &[&recorded[..], &[with, "--channel", "108"]].concat(),
             1,

@@ -437,7 +437,7 @@ mod tests {
     }
 
     fn request(ack_len: Option<u32>) -> Request {
-        let (interface, channel) = ("wlp1s0".to_string(), "64+".parse().unwrap());
+        let (interface, channel) = ("wlp1s0".to_string(), "60+".parse().unwrap());
         Request { interface, channel, role: Role::Responder, driver: None, ack_len }
     }
 

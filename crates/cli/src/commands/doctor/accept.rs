@@ -10,11 +10,9 @@ use crate::commands::draft::{FolderDraft, reads};
 use crate::commands::files::{open_log, read_trajectory, refuse_twice};
 use crate::commands::live::{Listening, Needs, Signals};
 use crate::commands::{InWords, Outcome, Result, Words, print, simulate, sound, usage};
-use csi_formats::Format;
 use csi5300::exchange::tdma::{Dialect, Epoch, Phy, Request};
 use csi5300::internal::FrameReceiver;
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::other_card::Translated;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_accept::{
@@ -33,6 +31,7 @@ use csi5300_sim::{Room, Scene, stamp};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use driver_iface::radiotap::Bandwidth;
+use driver_iface::side_file::{Entry, Layout};
 use driver_iface::sounding::wsr;
 use std::collections::BTreeMap;
 use std::hash::{Hash, Hasher};
@@ -249,26 +248,23 @@ fn plan(args: &Args, desk: &Desk) -> Words<Plan> {
     Ok(plan)
 }
 
-/// A log's bytes; those of a FeitCSI log as records of the 5300.
-fn log(path: &Path) -> Words<Vec<u8>> {
+/// A log's records, with the times of its side file.
+fn heard(path: &Path) -> Words<Heard> {
+    Heard::of(&mut open_log(path)?).in_words()
+}
+
+/// The same of a log that no output may overwrite.
+fn given(path: &Path) -> Words<Heard> {
     reads(path);
-    open_log(path)?;
-    let failed = |error| format!("{}: {error}", path.display());
-    let Some((Format::FeitCsi, bytes)) = csi5300_lab::cards::read(path) else {
-        return std::fs::read(path).map_err(failed);
-    };
-    let mut records = Vec::new();
-    Translated::new(bytes.as_slice()).read_to_end(&mut records).map_err(failed)?;
-    Ok(records)
+    heard(path)
 }
 
 /// The logs after retunes and reloads.
 fn later(evidence: &mut Evidence, desk: &Desk) -> Words<()> {
     for (done, all) in [(Done::Retuned, &desk.retuned), (Done::Reloaded, &desk.reloaded)] {
         for logs in all {
-            let heard = |path: &PathBuf| log(path).map(|bytes| Heard::of_log(&bytes));
             if let Some(near) = logs.first() {
-                let (near, far) = (heard(near)?, logs.get(1).map(heard).transpose()?);
+                let (near, far) = (given(near)?, logs.get(1).map(|far| given(far)).transpose()?);
                 evidence.after.push(After { done, near, far });
             }
         }
@@ -288,11 +284,9 @@ fn logs(args: &Args, desk: &Desk) -> Words<Judged> {
     without_card(args);
     let mut evidence = Evidence::new(plan(args, desk)?);
     if let Some(path) = &desk.near {
-        evidence.near = Heard::of_log(&log(path)?);
+        evidence.near = given(path)?;
     }
-    if let Some(path) = &desk.far {
-        evidence.far = Some(Heard::of_log(&log(path)?));
-    }
+    evidence.far = desk.far.as_deref().map(given).transpose()?;
     later(&mut evidence, desk)?;
     Ok(Judged::of(evidence, "backend: recorded logs".into()))
 }
@@ -338,14 +332,15 @@ fn write(report: &Report, evidence: &Evidence, stopped: Option<&Stopped>, folder
         ("report.xml".into(), report.junit().into_bytes()),
         ("report.html".into(), report.html(svg).into_bytes()),
         ("bench-log.md".into(), report.entry(&date).into_bytes()),
-        ("near.dat".into(), evidence.near.log.clone()),
-        ("far.dat".into(), evidence.far.as_ref().map(|far| far.log.clone()).unwrap_or_default()),
         (FILE.into(), goes_on),
     ];
+    let logs = [("near.dat".to_owned(), &evidence.near)].into_iter();
+    let logs = logs.chain(evidence.far.as_ref().map(|far| ("far.dat".into(), far)));
+    for (name, heard) in logs.chain(evidence.unplugged.iter().map(|(antenna, heard)| (unplugged(*antenna), heard))) {
+        files.extend([(format!("{name}stp"), times(heard)), (name, heard.log.clone())]);
+    }
     // A continued run needs every log, even an empty one.
-    let is_kept = |(name, bytes): &(String, Vec<u8>)| !bytes.is_empty() || (stopped.is_some() && name == "near.dat");
-    files.retain(is_kept);
-    files.extend(evidence.unplugged.iter().map(|(antenna, heard)| (unplugged(*antenna), heard.log.clone())));
+    files.retain(|(name, bytes)| !bytes.is_empty() || (stopped.is_some() && name.ends_with(".dat")));
     for (name, bytes) in &files {
         std::fs::write(draft.path().join(name), bytes)
             .map_err(|error| draft.words(&format!("cannot write {name}: {error}")))?;
@@ -360,6 +355,18 @@ fn write(report: &Report, evidence: &Evidence, stopped: Option<&Stopped>, folder
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(format!("cannot remove {FILE}: {error}")),
         _ => Ok(()),
     }
+}
+
+/// A log's side file; empty if no time is known.
+fn times(heard: &Heard) -> Vec<u8> {
+    let entry = |us: &Option<i64>| {
+        let mut entry = [0; Layout::Narrow.bytes()];
+        // What fits no entry stays unknown.
+        let _ = Entry::from(*us).emit(Layout::Narrow, &mut entry);
+        entry
+    };
+    let known = heard.times.iter().any(Option::is_some);
+    if known { heard.times.iter().flat_map(entry).collect() } else { Vec::new() }
 }
 
 /// The logs in a report's folder.
@@ -875,18 +882,15 @@ impl Stopped {
 
     /// Hands over what was measured.
     fn take_up(&self, folder: &Path, steps: &[Step], evidence: &mut Evidence) -> Words<()> {
-        let log = |name: &str| {
-            let path = folder.join(name);
-            std::fs::read(&path)
-                .map_err(|error| format!("{}: {error}; without {FILE} the run restarts", path.display()))
-        };
-        evidence.near = Heard::of_log(&log("near.dat")?);
+        let log =
+            |name: &str| heard(&folder.join(name)).map_err(|error| format!("{error}; without {FILE} the run restarts"));
+        evidence.near = log("near.dat")?;
         if folder.join("far.dat").exists() {
-            evidence.far = Some(Heard::of_log(&log("far.dat")?));
+            evidence.far = Some(log("far.dat")?);
         }
         for step in steps.iter().take(self.finished) {
             if let Step::Unplug(antenna) = step {
-                evidence.unplugged.push((*antenna, Heard::of_log(&log(&unplugged(*antenna))?)));
+                evidence.unplugged.push((*antenna, log(&unplugged(*antenna))?));
             }
         }
         evidence.lateness_us.clone_from(&self.lateness_us);
