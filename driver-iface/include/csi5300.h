@@ -2,7 +2,8 @@
 /*
  * The bytes between the Intel 5300, its kernel driver, its log files and csi5300, for C.
  *
- * The same contract as the Rust crate driver-iface; its tests compare every constant in this file with Rust's.
+ * The same contract as the Rust crate driver-iface; its tests compare every constant in this file with Rust's,
+ * or with Linux's where only C needs it.
  * All fields are little-endian unless noted otherwise. Tables: ../README.md.
  */
 #ifndef CSI5300_H

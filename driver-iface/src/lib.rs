@@ -22,6 +22,8 @@
 #[cfg(test)]
 extern crate std;
 
+#[cfg(test)]
+mod c_header;
 mod checksum;
 
 pub mod bfee;

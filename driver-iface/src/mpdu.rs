@@ -19,21 +19,21 @@ pub const FCS: usize = 4;
 pub const COUNTER: usize = 4;
 
 /// Offsets in the frame.
-pub mod offset {
+pub(crate) mod offset {
     /// u16, little-endian.
-    pub const FRAME_CONTROL: usize = 0;
+    pub(crate) const FRAME_CONTROL: usize = 0;
     /// u16, little-endian, microseconds.
-    pub const DURATION: usize = 2;
+    pub(crate) const DURATION: usize = 2;
     /// 6 bytes: receiver.
-    pub const ADDR1: usize = 4;
+    pub(crate) const ADDR1: usize = 4;
     /// 6 bytes: transmitter.
-    pub const ADDR2: usize = 10;
+    pub(crate) const ADDR2: usize = 10;
     /// 6 bytes: BSSID, or the sounding robot's own address.
-    pub const ADDR3: usize = 16;
+    pub(crate) const ADDR3: usize = 16;
     /// u16, little-endian.
-    pub const SEQ_CTRL: usize = 22;
+    pub(crate) const SEQ_CTRL: usize = 22;
     /// u32, **big-endian**: the sounding counter.
-    pub const COUNTER: usize = 24;
+    pub(crate) const COUNTER: usize = 24;
 }
 
 /// A checked view of the header of a frame of any type, with or without an FCS at the end.

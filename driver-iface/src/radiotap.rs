@@ -17,15 +17,13 @@ pub const MIN_LEN: usize = 8;
 pub const MAX_EMIT_LEN: usize = 48;
 
 /// [`Repr::flags`]: the frame ends with its 4-byte FCS (`IEEE80211_RADIOTAP_F_FCS`).
-pub const FLAGS_FCS: u8 = 0x10;
-/// [`Repr::flags`]: the 802.11 header is padded to a multiple of 4 bytes (`IEEE80211_RADIOTAP_F_DATAPAD`).
-pub const FLAGS_DATAPAD: u8 = 0x20;
+pub(crate) const FLAGS_FCS: u8 = 0x10;
 /// [`Repr::flags`]: the FCS was wrong (`IEEE80211_RADIOTAP_F_BADFCS`).
-pub const FLAGS_BAD_FCS: u8 = 0x40;
+pub(crate) const FLAGS_BAD_FCS: u8 = 0x40;
 /// [`Repr::tx_flags`] of a sent frame: it failed (`IEEE80211_RADIOTAP_F_TX_FAIL`).
 pub const TX_FLAGS_FAIL: u16 = 0x0001;
 /// [`Repr::tx_flags`]: expect no acknowledgement (`IEEE80211_RADIOTAP_F_TX_NOACK`).
-pub const TX_FLAGS_NO_ACK: u16 = 0x0008;
+pub(crate) const TX_FLAGS_NO_ACK: u16 = 0x0008;
 
 /// Offsets of the fixed part.
 mod field {
@@ -155,7 +153,7 @@ impl Mcs {
 /// `monitor_tx_rate`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Repr {
-    /// `IEEE80211_RADIOTAP_F_*`, see [`FLAGS_FCS`].
+    /// `IEEE80211_RADIOTAP_F_*`.
     pub flags: Option<u8>,
     /// Properties of a frame to send, or of a sent one.
     pub tx_flags: Option<u16>,

@@ -1545,45 +1545,6 @@ mod tests {
     }
 
     proptest! {
-        #[test]
-        fn chunks_do_not_matter(
-            which in 0..5_usize, cuts in vec((any::<prop::sample::Index>(), 0..3_usize, vec(any::<u8>(), 0..200)), 0..4),
-            sizes in vec(1..400_usize, 1..6),
-        ) {
-            let mut bytes = logs()[which].concat();
-            for (at, remove, insert) in cuts {
-                let at = at.index(bytes.len());
-                let to = (at + remove).min(bytes.len());
-                bytes.splice(at..to, insert);
-            }
-            prop_assert_eq!(in_chunks(&bytes, &sizes), in_chunks(&bytes, &[bytes.len()]));
-        }
-
-        #[test]
-        fn every_byte_is_accounted_for(parts in vec((0..5_usize, any::<prop::sample::Index>(), vec(any::<u8>(), 0..30)), 0..8)) {
-            let logs = logs();
-            let mut bytes = Vec::new();
-            for (which, record, garbage) in &parts {
-                bytes.extend_from_slice(&logs[*which][record.index(logs[*which].len())]);
-                bytes.extend_from_slice(garbage);
-            }
-            let mut at = 0;
-            for step in events(&bytes) {
-                match step {
-                    Step::Record { offset, used: n, .. } | Step::Bad { offset, skipped: n, .. } => {
-                        prop_assert_eq!(offset, at);
-                        at += n as u64;
-                    }
-                    Step::End(Tail::Clean) => prop_assert_eq!(at, bytes.len() as u64),
-                    Step::End(Tail::Cut { offset, bytes: n, .. }) => {
-                        prop_assert_eq!(offset, at);
-                        prop_assert_eq!(at + n, bytes.len() as u64);
-                    }
-                    Step::Incomplete => prop_assert!(false, "incomplete at the end"),
-                }
-            }
-        }
-
         /// The search for a record inside another tries only these codes.
         #[test]
         fn only_vouching_codes_vouch_for_themselves(mut bytes in vec(any::<u8>(), 23..80), code in any::<u8>(), length in 1_u16..700) {

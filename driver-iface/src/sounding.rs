@@ -18,13 +18,11 @@
 //! `injection/random_packets.c`, driver `dvm/rx.c` and `dvm/tx.c`; field values of the stock sender from csiread's
 //! `sample_0x5_64_3000.dat`.
 
-use crate::mpdu::offset;
+use crate::mpdu::{FCS, offset};
 use crate::{Mac, array, put};
 
 /// addr1 and addr2 of every sounding frame (WSR `random_packets.c`; iwlwifi `dvm/sta.c`, `dvm/tx.c`).
 pub const MAGIC_MAC: Mac = Mac([0x00, 0x16, 0xea, 0x12, 0x34, 0x56]);
-/// Bytes of the FCS that the card appends on air.
-pub const FCS_LEN: usize = crate::mpdu::FCS;
 /// Bytes of the shortest sounding frame: header and number.
 pub const MIN_LEN: usize = offset::COUNTER + crate::mpdu::COUNTER;
 
@@ -78,7 +76,7 @@ impl<'a> Frame<'a> {
     /// MPDU length **with** FCS, as WSR counts it (`byte_count`).
     #[must_use]
     pub fn len_with_fcs(&self) -> usize {
-        self.bytes.len() + FCS_LEN
+        self.bytes.len() + FCS
     }
 }
 
@@ -122,7 +120,8 @@ pub mod native {
     //! A backward frame repeats number, initiator's session, turn, left, next, slot, round and slots of the forward frame that it
     //! answers.
 
-    use super::{FCS_LEN, Frame, emit_header};
+    use super::{FCS, Frame, emit_header};
+    use crate::bfee::SUBCARRIERS;
     use crate::mpdu::offset;
     use crate::{Mac, array, put};
 
@@ -131,15 +130,13 @@ pub mod native {
     /// Version of this layout.
     pub const VERSION: u8 = 1;
     /// Bytes without measurement and tag, without FCS.
-    pub const BASE_LEN: usize = field::MEASUREMENT;
+    const BASE_LEN: usize = field::MEASUREMENT;
     /// Bytes of a measurement.
-    pub const MEASUREMENT_LEN: usize = 16 + 2 * SUBCARRIERS;
+    const MEASUREMENT_LEN: usize = 16 + 2 * SUBCARRIERS;
     /// Bytes of the authentication tag.
     pub const TAG_LEN: usize = 16;
     /// Bytes of the longest frame, without FCS.
     pub const MAX_LEN: usize = BASE_LEN + MEASUREMENT_LEN + TAG_LEN;
-    /// Subcarriers that the card reports.
-    pub const SUBCARRIERS: usize = crate::bfee::SUBCARRIERS;
 
     /// Offsets in the MPDU.
     mod field {
@@ -374,7 +371,7 @@ pub mod native {
     /// Length with FCS, as [`mpdu_len`].
     #[must_use]
     pub const fn len_with_fcs(has_measurement: bool, has_tag: bool) -> usize {
-        mpdu_len(has_measurement, has_tag) + FCS_LEN
+        mpdu_len(has_measurement, has_tag) + FCS
     }
 
     /// The bytes that the tag covers: the addresses, and everything from the number up to the tag.
@@ -408,16 +405,16 @@ pub mod wsr {
     //! on air. If `ack_len` is odd, that is even, so no answer is ever answered. Sources: WSR `injection/random_packets.c`; driver
     //! `dvm/rx.c`, `check_and_send_ack`.
 
-    use super::{FCS_LEN, Frame, MIN_LEN, emit_header};
+    use super::{FCS, Frame, MIN_LEN, emit_header};
     use crate::mpdu::offset;
     use crate::{Mac, put};
 
     /// On-air length of the forward frame to the first robot in WSR's examples.
     pub const DEFAULT_LEN: usize = 57;
     /// Shortest forward frame, FCS included: header, number and FCS, made odd.
-    pub const MIN_FORWARD_LEN: usize = MIN_LEN + FCS_LEN + 1;
+    pub const MIN_FORWARD_LEN: usize = MIN_LEN + FCS + 1;
     /// Length of the answer on air minus that of the forward frame: one byte, and the FCS of the copied frame.
-    pub const REPLY_GROWTH: usize = 1 + FCS_LEN;
+    pub const REPLY_GROWTH: usize = 1 + FCS;
 
     /// On-air length (FCS included) of the forward frame to robot `k` if the first robot's is `first_len`.
     #[must_use]
@@ -445,7 +442,7 @@ pub mod wsr {
         /// The next byte.
         ///
         /// The eight bits shifted in depend only on bits 31 to 17 of the old state, so they are computed at once.
-        pub fn next_byte(&mut self) -> u8 {
+        fn next_byte(&mut self) -> u8 {
             let s = self.state;
             let byte = ((s >> 24) ^ (s >> 22) ^ (s >> 18) ^ (s >> 17)) as u8;
             self.state = (s << 8) | u32::from(byte);
@@ -479,7 +476,7 @@ pub mod wsr {
         /// Bytes to hand to the card, which appends the FCS.
         #[must_use]
         pub const fn mpdu_len(&self) -> usize {
-            self.len_with_fcs.saturating_sub(FCS_LEN)
+            self.len_with_fcs.saturating_sub(FCS)
         }
 
         /// Writes the frame at the start of `buffer` and returns its length without FCS; `None` if it does not fit, or is too short for
@@ -498,12 +495,7 @@ pub mod wsr {
     /// `forward_fcs` are the 4 bytes that followed the forward frame; zeros if the receiver strips them, because nobody reads them.
     /// The driver allocates one byte more than the copy and leaves it unset; here it is 0.
     #[doc(alias = "check_and_send_ack")]
-    pub fn emit_reply(
-        forward: &Frame<'_>,
-        forward_fcs: [u8; FCS_LEN],
-        responder: Mac,
-        buffer: &mut [u8],
-    ) -> Option<usize> {
+    pub fn emit_reply(forward: &Frame<'_>, forward_fcs: [u8; FCS], responder: Mac, buffer: &mut [u8]) -> Option<usize> {
         let copied = forward.mpdu();
         let len = copied.len() + REPLY_GROWTH;
         let reply = buffer.get_mut(..len)?;
@@ -524,7 +516,7 @@ mod tests {
         use proptest::prelude::*;
 
         fn any_measurement() -> impl Strategy<Value = Measurement> {
-            let iq = proptest::collection::vec(any::<[i8; 2]>(), SUBCARRIERS);
+            let iq = proptest::collection::vec(any::<[i8; 2]>(), crate::bfee::SUBCARRIERS);
             (any::<(u32, u32, u8, u8, [u8; 3], i8, u8)>(), iq).prop_map(|(m, iq)| Measurement {
                 number: m.0,
                 timestamp_low: m.1,
@@ -665,10 +657,10 @@ mod tests {
 
     mod wsr {
         use crate::Mac;
+        use crate::mpdu::FCS;
         use crate::sounding::wsr::*;
-        use crate::sounding::{FCS_LEN, Frame, MAGIC_MAC};
+        use crate::sounding::{Frame, MAGIC_MAC};
         use proptest::prelude::*;
-        use std::vec::Vec;
 
         /// The register as WSR writes it, one shift at a time.
         fn slow_byte(state: &mut u32) -> u8 {
@@ -689,7 +681,8 @@ mod tests {
                 [0x67, 0xcb, 0x81, 0x10, 0xef, 0xc5],
             ];
             for expect in on_air {
-                let window: Vec<u8> = (0..100).map(|_| fast.next_byte()).collect();
+                let mut window = [0; 100];
+                fast.fill(&mut window);
                 assert_eq!(window[..6], expect);
                 assert!(window.iter().all(|byte| *byte == slow_byte(&mut slow)));
             }
@@ -750,7 +743,7 @@ mod tests {
             // The shortest one is the shortest odd length with room for its number.
             let emitted = |len_with_fcs| {
                 let repr = Repr { sender: Mac([2; 6]), number: 1, len_with_fcs };
-                repr.emit(&mut [0; 64], &mut Lfsr::default()).map(|len| len + FCS_LEN)
+                repr.emit(&mut [0; 64], &mut Lfsr::default()).map(|len| len + FCS)
             };
             assert_eq!((MIN_FORWARD_LEN % 2, emitted(MIN_FORWARD_LEN)), (1, Some(MIN_FORWARD_LEN)));
             assert_eq!(emitted(MIN_FORWARD_LEN - 2), None);

@@ -16,81 +16,43 @@ mod side_file;
 #[path = "../../fuzz/targets/stock.rs"]
 mod stock;
 
+use corpus::Random;
 use driver_iface::bfee::{Iq, Repr, Wsr};
 use driver_iface::connector as cn;
 use driver_iface::record::{Record, code};
 
-/// xorshift64.
-struct Random(u64);
+/// A bfee body, either layout, any chains.
+fn body(random: &mut Random) -> Vec<u8> {
+    let wsr = (random.below(2) == 0)
+        .then(|| Wsr { frame_count: (random.below(2) == 0).then(|| random.next() as u32), ..Wsr::default() });
+    let (n_rx, n_tx) = (1 + random.below(3) as u8, 1 + random.below(3) as u8);
+    let antenna_sel = random.next() as u8;
+    let repr = Repr { n_rx, n_tx, antenna_sel, timestamp_low: random.next() as u32, wsr, ..Repr::default() };
+    let seed = random.next() as u8;
+    let value = |k: usize| (k as u8).wrapping_mul(seed | 1).cast_signed();
+    let csi: Vec<Iq> = (0..repr.samples()).map(|k| Iq { i: value(k), q: value(k + 7) }).collect();
+    let mut body = vec![0; repr.body_len()];
+    repr.emit(&csi, &mut body).unwrap();
+    body
+}
 
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
-    }
-
-    fn below(&mut self, n: usize) -> usize {
-        (self.next() % n.max(1) as u64) as usize
-    }
-
-    fn bytes(&mut self, n: usize) -> Vec<u8> {
-        (0..n).map(|_| self.next() as u8).collect()
-    }
-
-    /// A bfee body, either layout, any chains.
-    fn body(&mut self) -> Vec<u8> {
-        let wsr = (self.below(2) == 0)
-            .then(|| Wsr { frame_count: (self.below(2) == 0).then(|| self.next() as u32), ..Wsr::default() });
-        let (n_rx, n_tx) = (1 + self.below(3) as u8, 1 + self.below(3) as u8);
-        let antenna_sel = self.next() as u8;
-        let repr = Repr { n_rx, n_tx, antenna_sel, timestamp_low: self.next() as u32, wsr, ..Repr::default() };
-        let seed = self.next() as u8;
-        let value = |k: usize| (k as u8).wrapping_mul(seed | 1).cast_signed();
-        let csi: Vec<Iq> = (0..repr.samples()).map(|k| Iq { i: value(k), q: value(k + 7) }).collect();
-        let mut body = vec![0; repr.body_len()];
-        repr.emit(&csi, &mut body).unwrap();
-        body
-    }
-
-    /// A record of any code, often a bfee.
-    fn record(&mut self) -> Vec<u8> {
-        let (code, body) = match self.below(4) {
-            0 => (self.next() as u8, {
-                let n = self.below(60);
-                self.bytes(n)
-            }),
-            1 => (code::MPDU, {
-                let n = 28 + self.below(60);
-                self.bytes(n)
-            }),
-            _ => (code::BFEE, self.body()),
-        };
-        let record = Record { code, body: &body };
-        let mut out = vec![0; record.emit_len()];
-        record.emit(&mut out).unwrap();
-        out
-    }
-
-    /// Changes a few bytes: overwritten, removed, inserted, cut.
-    fn damage(&mut self, bytes: &mut Vec<u8>) {
-        for _ in 0..self.below(4) {
-            let at = self.below(bytes.len());
-            match self.below(5) {
-                0 => bytes.truncate(at),
-                1 if at < bytes.len() => drop(bytes.remove(at)),
-                2 => bytes.insert(at, self.next() as u8),
-                3 => {
-                    let n = self.below(20);
-                    let garbage = self.bytes(n);
-                    bytes.splice(at..at, garbage);
-                }
-                _ if at < bytes.len() => bytes[at] = self.next() as u8,
-                _ => {}
-            }
-        }
-    }
+/// A record of any code, often a bfee.
+fn record(random: &mut Random) -> Vec<u8> {
+    let (code, body) = match random.below(4) {
+        0 => (random.next() as u8, {
+            let n = random.below(60);
+            random.bytes(n)
+        }),
+        1 => (code::MPDU, {
+            let n = 28 + random.below(60);
+            random.bytes(n)
+        }),
+        _ => (code::BFEE, body(random)),
+    };
+    let record = Record { code, body: &body };
+    let mut out = vec![0; record.emit_len()];
+    record.emit(&mut out).unwrap();
+    out
 }
 
 #[test]
@@ -103,7 +65,7 @@ fn record_streams() {
             bytes.extend(random.bytes(n));
         } else {
             for _ in 0..=random.below(3) {
-                bytes.extend(random.record());
+                bytes.extend(record(&mut random));
             }
             random.damage(&mut bytes);
         }
@@ -115,7 +77,7 @@ fn record_streams() {
 fn bfees() {
     let mut random = Random(0x5300_0002);
     for case in 0..300_000 {
-        let mut body = random.body();
+        let mut body = body(&mut random);
         if case % 3 == 0 {
             random.damage(&mut body);
         } else {

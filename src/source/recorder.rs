@@ -1174,37 +1174,6 @@ mod tests {
     }
 
     #[test]
-    fn rotation_by_size_and_by_time_loses_nothing() {
-        for (name, rotation) in [
-            ("size", Rotation { bytes: Some(250_000), every: None }),
-            ("time", Rotation { bytes: None, every: Some(Span::from_ms(1_000)) }),
-        ] {
-            let folder = folder(name);
-            let files = LogFiles::create(&folder.join("out.dat"), rotation, false).unwrap();
-            let options = Options { chunk_bytes: 10_000, ..Options::default() };
-            let mut recorder = Recorder::new(Numbered::new((0..5_000).map(Some)), files, options).unwrap();
-            let mut now = Instant::ZERO;
-            while !matches!(recorder.receive(now).unwrap(), Next::End(_)) {
-                now += Span::from_ms(1);
-            }
-            let (_, files, totals) = recorder.finish(now).unwrap();
-            assert_eq!((totals.written, totals.error), (5_000, None));
-            let paths = files.paths();
-            assert_eq!(paths.len(), if name == "size" { 2 } else { 5 }, "{paths:?}");
-            let mut all = Vec::new();
-            for path in &paths {
-                let log = std::fs::read(path).unwrap();
-                assert!(name != "size" || log.len() <= 250_000);
-                let stamps = std::fs::metadata(side_path(path)).unwrap().len();
-                assert_eq!(stamps as usize / 8, log.len() / RECORD);
-                all.extend(numbers(&log));
-            }
-            assert_eq!(all, (0..5_000).collect::<Vec<_>>());
-            std::fs::remove_dir_all(folder).unwrap();
-        }
-    }
-
-    #[test]
     fn a_dropped_recorder_writes_what_it_was_handed() {
         let sink = Disk::default();
         let (log, syncs) = (Arc::clone(&sink.log), Arc::clone(&sink.syncs));
@@ -1304,13 +1273,6 @@ mod tests {
     #[test]
     fn what_is_no_file_is_not_cut() {
         assert!(Grown::create("/dev/null".into(), true).is_ok(), "a device has no length");
-    }
-
-    #[test]
-    fn names_in_a_row() {
-        assert_eq!(numbered(Path::new("a/out.dat"), 0), Path::new("a/out.dat"));
-        assert_eq!(numbered(Path::new("a/out.dat"), 12), Path::new("a/out-0012.dat"));
-        assert_eq!(numbered(Path::new("out"), 1), Path::new("out-0001"));
     }
 
     /// Opening a pipe would wait for a reader, and no signal would end it.

@@ -7,9 +7,9 @@ use csi5300::internal::before_first_number;
 use csi5300::time::{Instant, Span};
 use csi5300_sim::random::Stream;
 use driver_iface::Mac;
-use driver_iface::sounding::native::{self, Measurement, Role, SUBCARRIERS};
+use driver_iface::bfee::SUBCARRIERS;
+use driver_iface::sounding::native::{self, Measurement};
 use driver_iface::sounding::{Frame, wsr};
-use proptest::prelude::*;
 use std::fmt::Write;
 
 /// One initiator and `peers` responders.
@@ -40,19 +40,6 @@ fn what_a_plan_promises_is_sounded_and_32_peers_get_the_rate_that_is_offered() {
 }
 
 #[test]
-fn short_turns_interleave_the_robots() {
-    let mut request = Request::new(2, 100.0);
-    request.turn_slots = 2;
-    let mut air = Air::new(&everybody(3, request), 14);
-    air.loss = 0.02;
-    air.run_s(60);
-    let turns: u64 = air.stations.iter().map(|station| station.tdma.counts().turns).sum();
-    assert!(turns > 5_500, "{turns} turns of one round in 60 s");
-    assert_eq!(air.collisions, 0);
-    assert!(air.jain() > 0.99);
-}
-
-#[test]
 fn any_number_of_robots_keeps_in_step_by_hearing_alone() {
     for n in [2usize, 3, 8, 16, 32] {
         let mut configs = everybody(n, Request::new(n as u16 - 1, 1_200.0 / n as f64));
@@ -76,24 +63,6 @@ fn any_number_of_robots_keeps_in_step_by_hearing_alone() {
         assert!(air.stations.iter().all(|station| station.tdma.counts().turns > 0), "{n} robots");
         assert!(n != 8 || off <= 1 && air.jain() > 0.97, "{off} off, {}", air.jain());
     }
-}
-
-#[test]
-fn a_turn_that_nobody_takes_up_is_taken_back() {
-    let mut air = Air::new(&three(), 5);
-    air.run_s(5);
-    while !air.stations[0].tdma.has_turn() {
-        air.run_us(1_000);
-    }
-    air.run_us(100_000);
-    air.crash(1); // who is next
-    let before_us = air.now_us;
-    air.run_s(5);
-    let taken_back = times(&air, 0, began(Cause::TakenBack));
-    assert_eq!(taken_back.len(), 1);
-    assert!(taken_back[0] - before_us < 160_000 + SILENCE_US + 5_000);
-    assert!(times(&air, 2, began(Cause::Passed)).iter().any(|at| *at > taken_back[0]), "the third is next instead");
-    assert_eq!(air.collisions, 0);
 }
 
 #[test]
@@ -391,25 +360,6 @@ fn two_initiators_in_step_find_out_although_their_frames_destroy_each_other() {
     assert!(collisions >= 20, "they were not in step: {collisions} overlaps");
     assert_eq!((air.collisions, air.initiators()), (collisions, 1));
     assert!(air.pairs() - pairs > 2_900);
-}
-
-#[test]
-fn two_cold_starters_without_a_common_clock_end_up_with_one_initiator() {
-    for seed in 0..20 {
-        let mut configs = everybody(2, Request::new(1, 400.0));
-        let skews = [Skew { offset_us: 0, ppm: 0 }, Skew { offset_us: 160_000 + 97 * seed as i64, ppm: 30 }];
-        for (config, skew) in configs.iter_mut().zip(&skews) {
-            config.epoch = Epoch::Heard(skew.local(0));
-        }
-        let mut air = Air::new(&configs, seed);
-        air.restart_with_skew(&configs, &skews);
-        air.jitter_us = 30;
-        air.run_s(20);
-        let (before, collisions) = (air.pairs(), air.collisions);
-        air.run_s(10);
-        assert!(air.pairs() - before > 3_900, "seed {seed}: {}", air.pairs() - before);
-        assert_eq!(air.collisions, collisions, "seed {seed}");
-    }
 }
 
 #[test]
@@ -798,71 +748,6 @@ fn without_a_key_forgeries_cost_some_pairs_and_stop_nothing() {
     air.run_s(10);
     assert_eq!(air.collisions, before.1, "the damage does not outlast the stranger");
     assert!(air.pairs() - before.0 > 5_200);
-}
-
-/// One step of a hostile driver.
-#[derive(Clone, Debug)]
-enum Step {
-    Wait(i64),
-    Hear(Vec<u8>),
-    /// Hears something made of the `.0`-th last own or foreign frame.
-    Forged(usize, u64),
-    Toggle(bool),
-}
-
-fn any_step() -> impl Strategy<Value = Step> {
-    prop_oneof![
-        4 => (-500i64..30_000).prop_map(Step::Wait),
-        1 => (30_000i64..3_000_000).prop_map(Step::Wait),
-        1 => proptest::collection::vec(any::<u8>(), 0..200).prop_map(Step::Hear),
-        6 => (0usize..12, any::<u64>()).prop_map(|(at, seed)| Step::Forged(at, seed)),
-        1 => any::<bool>().prop_map(Step::Toggle),
-    ]
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
-    #[test]
-    fn nothing_heard_in_any_order_breaks_the_contract(
-        steps in proptest::collection::vec(any_step(), 1..120),
-        by_length: bool,
-    ) {
-        let dialect = if by_length { Dialect::Wsr { first_len: 57 } } else { request(false).dialect };
-        let configs = everybody(4, Request { dialect, ..request(false) });
-        let mut tdmas: Vec<Tdma> = configs.iter().take(2).map(|config| Tdma::new(config).unwrap()).collect();
-        let mut frames: Vec<Vec<u8>> = vec![Vec::new()];
-        let (mut now, mut sounded) = (Instant::ZERO, Vec::new());
-        for step in steps {
-            match &step {
-                Step::Wait(us) => now += Span::from_us(*us),
-                Step::Hear(bytes) => tdmas.iter_mut().for_each(|tdma| tdma.handle_heard(now, now, bytes)),
-                Step::Forged(at, seed) => {
-                    let original = frames[frames.len().saturating_sub(1 + at)].clone();
-                    let bytes = if original.len() < 60 { original } else { forge(&original, &mut Stream::of_seed(*seed)) };
-                    tdmas.iter_mut().for_each(|tdma| tdma.handle_heard(now, now, &bytes));
-                }
-                Step::Toggle(initiate) => tdmas[0].set_initiate(*initiate),
-            }
-            for tdma in &mut tdmas {
-                while let Some(transmit) = tdma.poll_transmit(now) {
-                    prop_assert!(transmit.at <= transmit.latest);
-                    frames.push(transmit.frame.to_vec());
-                    if transmit.role == Role::Forward {
-                        sounded.push((transmit.peer, transmit.number));
-                    }
-                }
-                if let Some(at) = tdma.poll_timeout() {
-                    prop_assert!(at > now || tdma.counts().time_ran_back > 0);
-                }
-                while let Some(event) = tdma.poll_event() {
-                    if let Event::Answered { peer, number, .. } = event {
-                        prop_assert!(sounded.contains(&(peer, number)));
-                        prop_assert!(peer != mac(9));
-                    }
-                }
-            }
-        }
-    }
 }
 
 #[test]

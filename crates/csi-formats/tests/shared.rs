@@ -3,9 +3,12 @@
 //! The logs are not part of the repository: `CSI5300_CASES` names their folder; the default is `../shared/cases` beside it.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+#[path = "../../../tests/common/corpus.rs"]
+mod corpus;
 #[path = "../../../fuzz/targets/formats.rs"]
 mod target;
 
+use corpus::Random;
 use csi_formats::{Card, Endian, Format, Frame, Item, Kind, detect, items};
 use std::path::PathBuf;
 
@@ -68,21 +71,13 @@ fn csitool_logs_are_not_recognised_as_other_cards() {
     }
 }
 
-/// xorshift, so that the damage is the same on every run.
-fn next(state: &mut u64) -> u64 {
-    *state ^= *state << 13;
-    *state ^= *state >> 7;
-    *state ^= *state << 17;
-    *state
-}
-
 /// Damages bytes as logs get damaged: flips bits, removes bytes, inserts others, cuts the end.
-fn damage(bytes: &mut Vec<u8>, state: &mut u64) {
-    for _ in 0..=next(state) % 4 {
-        let at = next(state) as usize % bytes.len().max(1);
-        let many = (next(state) % 300) as usize;
-        match next(state) % 4 {
-            0 => bytes.get_mut(at).into_iter().for_each(|byte| *byte ^= 1 << (next(state) % 8)),
+fn damage(bytes: &mut Vec<u8>, random: &mut Random) {
+    for _ in 0..=random.next() % 4 {
+        let at = random.next() as usize % bytes.len().max(1);
+        let many = (random.next() % 300) as usize;
+        match random.next() % 4 {
+            0 => bytes.get_mut(at).into_iter().for_each(|byte| *byte ^= 1 << (random.next() % 8)),
             1 => drop(bytes.drain(at..(at + many).min(bytes.len()))),
             2 => drop(bytes.splice(at..at, (0..many).map(|k| (k * 37) as u8).collect::<Vec<_>>())),
             _ => bytes.truncate(at.max(1)),
@@ -94,14 +89,14 @@ fn damage(bytes: &mut Vec<u8>, state: &mut u64) {
 #[test]
 fn damage_is_skipped_and_never_a_panic() {
     let Some(folder) = folder() else { return };
-    let mut state = 88_172_645_463_325_252_u64;
+    let mut random = Random(88_172_645_463_325_252);
     let (mut copies, mut frames, mut skipped) = (0, 0, 0);
     for (name, format, ..) in LOGS {
         let whole = std::fs::read(folder.join(name)).unwrap();
         let from = if format == Format::Esp32 { 600 } else { 8_000 };
         for _ in 0..1_112 {
             let mut bytes = whole.get(..from).unwrap_or(&whole).to_vec();
-            damage(&mut bytes, &mut state);
+            damage(&mut bytes, &mut random);
             copies += 1;
             let (more, bad) = target::read(format, &bytes);
             (frames, skipped) = (frames + more, skipped + bad);
@@ -148,9 +143,9 @@ fn an_ax210_measures_no_pilots() {
 /// Bytes of no log at all, and parts of each kind of log read as another kind.
 #[test]
 fn any_bytes_are_read_without_a_panic() {
-    let mut state = 4_101_842_887_655_102_017_u64;
+    let mut random = Random(4_101_842_887_655_102_017);
     for len in [0, 1, 3, 11, 27, 60, 272, 300, 2_000] {
-        let bytes: Vec<u8> = (0..len).map(|_| (next(&mut state) >> 32) as u8).collect();
+        let bytes: Vec<u8> = (0..len).map(|_| (random.next() >> 32) as u8).collect();
         target::run(&bytes);
         target::run(&vec![0; len]);
         target::run(&vec![0xff; len]);

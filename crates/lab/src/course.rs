@@ -884,13 +884,12 @@ fn gaps(times_s: &[f64]) -> Vec<(f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::temporary::Temporary;
+    use crate::temporary::{Temporary, fixture};
     use csi_formats::{Kind, Tones, feitcsi};
     use csi5300::source::{CsiSource, Next, replay::Replay};
     use csi5300::time::Instant;
     use driver_iface::bfee::{Iq, Repr, Wsr};
     use driver_iface::record::{Record, code};
-    use std::path::PathBuf;
 
     /// A record: card's clock, host time (whole microseconds; 0 for none), frame number.
     type Told = (u32, u64, u32);
@@ -1057,14 +1056,6 @@ mod tests {
             [stretch.skipped, stretch.repeated].map(|marks| marks.iter().map(|mark| mark.1).sum::<u64>())
         };
         assert_eq!([None, Some(sender(1)), Some(sender(2))].map(counts), [[15, 1], [8, 1], [7, 0]]);
-    }
-
-    fn fixture() -> PathBuf {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
-        let logs = std::fs::read_dir(root).unwrap().flatten().map(|entry| entry.path());
-        logs.filter(|path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("csi_rx_")))
-            .min()
-            .unwrap()
     }
 
     /// The fixture without some of its bytes, in a file of its own.

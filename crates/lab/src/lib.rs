@@ -38,8 +38,13 @@ fn wrap_deg(angle_deg: f64) -> f64 {
 
 #[cfg(test)]
 mod temporary {
-    use std::path::PathBuf;
+    use std::path::{Path, PathBuf};
     use std::sync::atomic::{AtomicU32, Ordering};
+
+    /// The receiver's log of the committed capture.
+    pub fn fixture() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat")
+    }
 
     /// A path of one test alone; what is there is removed at the end.
     pub struct Temporary(pub PathBuf);

@@ -20,7 +20,7 @@ use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Refused, Stamps};
 use csi5300::time::{HostTimes, Instant, Step16};
 use driver_iface::bfee::Bfee;
 use driver_iface::connector::{
-    CN_IDX, CN_IDX_10_USERS, CN_VAL, MAX_DATAGRAM, Messages, NETLINK_CONNECTOR, Repr, offset, registered_idx,
+    CN_IDX, CN_IDX_10_USERS, CN_VAL, MAX_DATAGRAM, Messages, NETLINK_CONNECTOR, NLMSGHDR, Repr, registered_idx,
 };
 use driver_iface::record::{MAX_LENGTH, Record, Tail, code};
 use netlink_sys::{Socket, SocketAddr};
@@ -418,9 +418,9 @@ pub(crate) fn widen(socket: &impl AsFd, bytes: usize) -> usize {
 /// A classic filter that passes messages with one of `indices`, so that foreign traffic does not fill the queue.
 ///
 /// The loads are big-endian, the messages little-endian (hence the swapped constants). It checks only the first
-/// `cn_msg` of a datagram: the driver puts one in each.
+/// `cn_msg` of a datagram, which begins with its index: the driver puts one in each.
 fn filter(indices: &[u32]) -> Vec<Instruction> {
-    let mut program = vec![step(LOAD_WORD, 0, 0, offset::CN_IDX as u32)];
+    let mut program = vec![step(LOAD_WORD, 0, 0, NLMSGHDR as u32)];
     let count = indices.len().min(MAX_GROUP as usize);
     for (k, index) in indices.iter().take(count).enumerate() {
         program.push(step(JUMP_IF_EQUAL, (count - k) as u8, 0, index.swap_bytes()));

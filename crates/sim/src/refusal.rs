@@ -517,6 +517,7 @@ mod tests {
     use crate::motion::{Arc, Circle, FollowedMotion, Helix, Line, RandomWalk, RecordedMotion, Square, Waypoints};
     use crate::radio::{Agc, DelayGroup, FixedGain, Gain, Noise, Stray};
     use crate::scene::{Cfo, Odometry, PaperCfo, Pattern, Reflector, Sounding, Wall};
+    use proptest::prelude::*;
 
     const GOOD: &str = r#"duration_s = 10.0
 seed = 3
@@ -857,5 +858,36 @@ to_m = [5.0, 3.0]
         }
         std::fs::remove_file(&trajectory).unwrap();
         assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(128))]
+
+        /// Whatever its numbers and names.
+        #[test]
+        fn a_written_scene_is_read_as_itself(
+            number in prop_oneof![any::<f64>().prop_filter("equal to itself", |v| !v.is_nan()), (-9..9).prop_map(f64::from)],
+            name in prop_oneof!["[a-z_-]{0,8}", any::<String>()],
+            (seed, start_unix_s, whole) in any::<(u64, i64, u32)>(),
+            (cfo, gain, noise) in (0..3_usize, 0..2_usize, 0..3_usize),
+        ) {
+            let mut scene = full(Path::new(&name));
+            (scene.name, scene.seed, scene.start_unix_s, scene.duration_s) = (name.clone(), seed, start_unix_s, number);
+            scene.cfo = [Cfo::Off, Cfo::Physical, Cfo::Paper(PaperCfo { df_hz: number, ..PaperCfo::default() })][cfo];
+            let fixed = Gain::Fixed(FixedGain { lsb_at_1m: number, agc_db: whole as u8 });
+            scene.radio.gain = [fixed, Gain::Agc(Agc { target_lsb: number, ..Agc::default() })][gain];
+            scene.radio.noise = [Noise::Off, Noise::SnrDb(number), Noise::FloorDbm(number)][noise];
+            (scene.radio.filter_db, scene.sounding) = (Some([number; 30]), None);
+            (scene.wall[0].through_db, scene.reflector[0].edge_a_m) = (None, [number; 3]);
+            let robot = &mut scene.robot[0];
+            (robot.name, robot.mac) = (name.clone(), Some(name));
+            (robot.position_m, robot.antenna_b_m, robot.odometry.late_s) = ([number; 3], None, number);
+            (robot.motion, robot.radio, robot.ack_len) = (RobotMotion::Static, None, None);
+            (robot.faults.restart_at_s, robot.faults.queue_records) = (vec![number; 2], whole as usize);
+            scene.robot.push(Robot::default());
+            let text = scene.to_toml().unwrap();
+            let again = Scene::parse(&text).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
+            prop_assert_eq!(again, scene, "{}", text);
+        }
     }
 }

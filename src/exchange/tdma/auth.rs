@@ -10,9 +10,10 @@
 
 use crate::source::Next;
 use driver_iface::Mac;
+use driver_iface::mpdu;
 use driver_iface::record::code;
 use driver_iface::sounding::native::Repr;
-use driver_iface::sounding::{FCS_LEN, Frame, native};
+use driver_iface::sounding::{Frame, native};
 use hkdf::Hkdf;
 use sha2::Sha256;
 use siphasher::sip128::{Hasher128, SipHasher24};
@@ -224,8 +225,8 @@ impl Prover {
     pub fn note(&mut self, next: &Next<'_>) -> Proof {
         match (next, &self.key) {
             (Next::Record(_, record), Some(key)) if record.code == code::MPDU => {
-                let mpdu = record.body.split_at_checked(record.body.len().saturating_sub(FCS_LEN));
-                self.frame = mpdu.map_or(Proof::Wrong, |(mpdu, _)| key.prove(mpdu));
+                let split = record.body.split_at_checked(record.body.len().saturating_sub(mpdu::FCS));
+                self.frame = split.map_or(Proof::Wrong, |(mpdu, _)| key.prove(mpdu));
                 self.frame
             }
             (Next::Record(_, record), _) if record.code == code::BFEE => std::mem::take(&mut self.frame),
@@ -362,7 +363,7 @@ pub(crate) mod tests {
 
     /// A frame from A to B with the key's tag, and a checksum that is not used: the body of a record.
     pub(crate) fn recorded(key: &Key) -> Vec<u8> {
-        [frame(A, B, key), vec![0; FCS_LEN]].concat()
+        [frame(A, B, key), vec![0; mpdu::FCS]].concat()
     }
 
     fn record(code: u8, body: &[u8]) -> Next<'_> {

@@ -1132,7 +1132,7 @@ impl SlotClock {
 mod tests {
     use super::*;
     use crate::exchange::tdma::Request;
-    use driver_iface::sounding::native::SUBCARRIERS;
+    use driver_iface::bfee::SUBCARRIERS;
 
     fn mac(k: u16) -> Mac {
         Mac([2, 0x53, 0, 0, 0, k as u8])

@@ -11,8 +11,8 @@ use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Options, Transmitter};
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, rate};
+use driver_iface::mpdu;
 use driver_iface::radiotap::Bandwidth;
-use driver_iface::sounding::FCS_LEN;
 use num_complex::{Complex32, Complex64};
 use std::collections::{BTreeMap, HashSet};
 use std::f64::consts::{FRAC_PI_4, TAU};
@@ -309,7 +309,7 @@ fn airtime_us(far: &Heard, sender: Mac) -> Option<f64> {
     let (&code, _) = rates.iter().filter(|(code, _)| **code & rate::HT != 0).max_by_key(|(_, count)| **count)?;
     let bandwidth = if code & rate::HT40 != 0 { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
     let phy = Phy { mcs: (code & 0x1f) as u8, bandwidth };
-    Some(f64::from(phy.airtime_us(Sending::frame_len() + FCS_LEN)))
+    Some(f64::from(phy.airtime_us(Sending::frame_len() + mpdu::FCS)))
 }
 
 pub(super) fn confirmed(evidence: &Evidence) -> Told {

@@ -4,7 +4,6 @@ use crate::air::Program;
 use crate::cards::{PAIR, simulated};
 use crate::commands::{Folder, json};
 use csi5300_accept::CLAIMS;
-use std::io::Read;
 
 /// A scene of 15 s whose first robot's card has a fault, or none.
 fn scene(fault: &str) -> String {
@@ -195,9 +194,7 @@ fn a_robot_that_sends_and_one_that_assists_are_judged_together() {
         asking.signal(nix::sys::signal::Signal::SIGINT);
         asking.until("\nstopped before: ");
         asking.until("\nthe report is in");
-        let mut out = String::new();
-        asking.child.stdout.take().unwrap().read_to_string(&mut out).unwrap();
-        (out, asking.end().1)
+        (asking.output(), asking.end().1)
     };
     let (out, said) = asked(&[], "B");
     assert!(out.contains("stopped: 1 of 3 parts are finished") && !said.contains("going on"), "{out}{said}");

@@ -200,6 +200,18 @@ impl Program {
         Self::of(command.args(args).stdout(Stdio::null()))
     }
 
+    /// One whose results are read by [`Self::output`].
+    fn heard(args: &[&str]) -> Self {
+        Self::of(Command::new(env!("CARGO_BIN_EXE_csi5300")).args(args).stdout(Stdio::piped()))
+    }
+
+    /// All that it prints.
+    pub fn output(&mut self) -> String {
+        let mut out = String::new();
+        self.child.stdout.take().unwrap().read_to_string(&mut out).unwrap();
+        out
+    }
+
     pub fn of(command: &mut Command) -> Self {
         let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
         let stderr = BufReader::new(child.stderr.take().unwrap());
@@ -333,6 +345,18 @@ fn nodes_sound_each_other_in_turns() {
     assert!(counts(own, "paired") > 50 && last["pairs"].as_u64() > Some(10), "{last}");
 }
 
+/// What `sound --json` says and prints at its end, where answers were heard. How many were in time is the machine's business.
+fn sounding_is_told(out: &str, said: &str) {
+    for words in ["02:00:00:00:00:0b joined", "lateness: p50", "answers began after: p50", "145 to 322 us"] {
+        assert!(said.contains(words), "no `{words}` in {said}");
+    }
+    let row = &json(out)["summary"];
+    assert!(crate::documented::are_documented(&row.to_string()) > 10, "{out}");
+    let (forward, answered) = (row["forward"].as_u64().unwrap(), row["answered"].as_u64().unwrap());
+    assert!(forward >= answered && answered > 0 && row["peers"][0]["forward"].as_u64() == Some(forward), "{row}");
+    assert!(row["lateness_us"]["p50"].is_u64() && row["records"].as_u64() >= Some(1), "{row}");
+}
+
 #[test]
 fn programs_sound_each_other_in_a_served_room() {
     crate::with_node();
@@ -348,22 +372,23 @@ fn programs_sound_each_other_in_a_served_room() {
     // A busy machine is late by milliseconds: slots are long, and answers have time.
     let slow = ["--rate", "50", "--turn-around", "6000", "--guard", "1500", "--no-fifo"];
     let tx_room = of("tx");
-    let respond =
-        [&["sound", "--answer", "--room", &tx_room, "--peers", "02:00:00:00:00:0a", "--log", tx], &slow[..]].concat();
-    let mut respond = Program::start(&respond);
+    let respond = ["sound", "--answer", "--json", "--room", &tx_room, "--peers", "02:00:00:00:00:0a", "--log", tx];
+    let mut respond = Program::heard(&[&respond[..], &slow].concat());
     respond.until("sending under");
     let rx_room = of("rx");
     // A second listener on the same card.
     let mut recorder = Program::start(&["record", record, "--room", &rx_room]);
     recorder.until("recording to");
     let mut node = Program::start(&["node", "--config", node]);
-    let sound = ["sound", "--room", &rx_room, "--peers", "02:00:00:00:00:0b", "--alone", "--log", rx];
-    let sound = Program::start(&[&sound[..], &slow[..]].concat());
+    let sound = ["sound", "--json", "--room", &rx_room, "--peers", "02:00:00:00:00:0b", "--alone", "--log", rx];
+    let mut sound = Program::heard(&[&sound[..], &slow[..]].concat());
     let found = node.sure_bearing(&folder.0.join("rx.jsonl"), 6);
     assert!(is_near(off_deg(&found), &found), "{found}");
     sound.stop();
+    let out = sound.output();
     let (status, sounded) = sound.end();
     assert_eq!(status, Some(0), "{sounded}");
+    sounding_is_told(&out, &sounded);
     [&recorder, &node].into_iter().for_each(Program::stop);
     let (_, recorded) = recorder.end();
     let (status, said) = node.end();
@@ -372,8 +397,16 @@ fn programs_sound_each_other_in_a_served_room() {
     let (status, served) = room.end();
     assert_eq!(status, Some(0), "{served}");
     // A room that ends is a normal end.
+    let out = respond.output();
     let (status, responded) = respond.end();
     assert!(status == Some(0) && responded.contains("the room has ended"), "{status:?} {responded}");
+    assert!(
+        responded.contains("receive stamp: p50") && crate::documented::are_documented(&out) > 10,
+        "{out}{responded}"
+    );
+    let row = json(&out);
+    assert!(row["answers"].as_u64() >= Some(number(&sounded, " answered")) && row["forward"] == 0, "{row}");
+    assert!(row["turn_around_us"]["max"].is_u64() && row["error"].is_null(), "{row}");
     let (answered, sent) = (number(&sounded, " answered"), number(&sounded, " forward frames"));
     assert!(answered > 0, "{answered} of {sent}:\n{sounded}\n{responded}\n{served}");
     assert!(served.contains("8 programs joined, 0 refused"), "{served}");

@@ -393,22 +393,6 @@ fn the_page_shows_logs_of_other_cards() {
 }
 
 #[test]
-fn an_address_without_its_half_is_shown_whole() {
-    let folder = Folder::new("address");
-    for (given, wanted) in [("8080", "127.0.0.1:8080"), (":9000", "127.0.0.1:9000"), ("localhost:1", "127.0.0.1:8080")]
-    {
-        folder.says(&["view", "x.dat", "--listen", given], 2, &[wanted, "an IP address and a port"]);
-    }
-    for given in ["00:21:6a:53:89", "00216a5389d2", "00:21:6a:53:89:zz"] {
-        folder.says(
-            &["bearing", "--tx-mac", given, "a.dat", "b.dat", "t.csv"],
-            2,
-            &["six hexadecimal octets like 00:21:6a:53:89:d2"],
-        );
-    }
-}
-
-#[test]
 fn info_takes_the_logs_of_a_folder() {
     let folder = Folder::new("info-folder");
     let scene = std::fs::read_to_string(crate::common::root().join("scenes/two-antennas.toml")).unwrap();

@@ -12,7 +12,6 @@ use driver_iface::bfee::Bfee;
 use driver_iface::connector::CN_IDX;
 use driver_iface::record::Tail;
 use nix::sys::signal::Signal;
-use std::io::Read;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -249,8 +248,7 @@ fn a_replayed_log_arrives_through_the_kernel() {
     assert_eq!((row["records"].as_u64(), row["cut"].as_bool()), (Some(300), Some(false)), "{said}");
     assert!(crate::documented::are_documented(&said) >= 7);
     assert!(running.child.wait().unwrap().success());
-    let mut said = String::new();
-    running.child.stdout.take().unwrap().read_to_string(&mut said).unwrap();
+    let said = running.output();
     assert_eq!(crate::commands::json(&said)["records"], 300, "{said}");
     assert!(crate::documented::are_documented(&said) >= 7, "{said}");
     assert_eq!(std::fs::read(&first).unwrap(), std::fs::read(&second).unwrap());

@@ -368,16 +368,12 @@ fn write_fields(export: &Export<'_>, figures: &Figures, file: &mut impl Target) 
 mod tests {
     use super::Export;
     use crate::table::{Arena, Columns, Filter, Form, Reading};
-    use crate::temporary::Temporary;
+    use crate::temporary::{Temporary, fixture};
     use csi5300::source::replay::Replay;
     use csi5300::time::Instant;
     use driver_iface::bfee::Antenna;
-    use std::path::{Path, PathBuf};
+    use std::path::Path;
     use std::sync::atomic::{AtomicBool, Ordering};
-
-    fn fixture() -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat")
-    }
 
     fn table(log: &Path, filter: Filter) -> (Arena, Columns) {
         let mut reading = Reading::new(Replay::open(log).unwrap(), filter);

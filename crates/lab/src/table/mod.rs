@@ -169,6 +169,7 @@ pub fn antennas(text: &str) -> Option<Vec<Antenna>> {
 mod tests {
     use super::reading::Cut;
     use super::*;
+    use crate::temporary::{Temporary, fixture};
     use csi5300::source::replay::Replay;
     use csi5300::time::Instant;
     use csi5300::{Frame, Log};
@@ -176,14 +177,9 @@ mod tests {
     use driver_iface::record::{LOOKAHEAD, Record, code, written};
     use num_complex::Complex32;
     use std::io::Read;
-    use std::path::{Path, PathBuf};
-
-    fn path() -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat")
-    }
 
     fn table(filter: Filter) -> (Arena, Columns, u64) {
-        let mut reading = Reading::new(Replay::open(&path()).unwrap(), filter);
+        let mut reading = Reading::new(Replay::open(&fixture()).unwrap(), filter);
         while reading.burst(Instant::ZERO, usize::MAX).unwrap() {}
         assert!(reading.has_ended());
         let (arena, columns) = reading.take();
@@ -191,7 +187,7 @@ mod tests {
     }
 
     fn frames() -> Vec<Frame> {
-        Log::open(path()).unwrap().map(Result::unwrap).collect()
+        Log::open(fixture()).unwrap().map(Result::unwrap).collect()
     }
 
     #[test]
@@ -333,7 +329,7 @@ mod tests {
 
     /// Enough copies of the fixture for several blocks of memory, damaged in places, with MPDU records in between.
     fn long() -> Vec<u8> {
-        let whole = std::fs::read(path()).unwrap();
+        let whole = std::fs::read(fixture()).unwrap();
         let mut log = Vec::new();
         for _ in 0..COPIES {
             for record in whole.chunks(233) {
@@ -397,7 +393,7 @@ mod tests {
 
     #[test]
     fn the_clock_of_a_translated_log_stays_with_its_record() {
-        let whole = std::fs::read(path()).unwrap();
+        let whole = std::fs::read(fixture()).unwrap();
         let mut log = Vec::new();
         for (k, record) in (0_u32..30).zip(written(&whole)) {
             log.extend([[0, 5].as_slice(), &[code::CARD_CLOCK], &k.to_le_bytes(), record].concat());
@@ -417,7 +413,7 @@ mod tests {
     /// Host times of a side file, some unknown, with noise between records: records with and without them in one block.
     #[test]
     fn two_threads_read_the_host_times_that_one_reads() {
-        let folder = crate::temporary::Temporary::folder("table");
+        let folder = Temporary::folder("table");
         let path = folder.0.join("stock.dat");
         let repr = Repr::default();
         let mut body = vec![0; repr.body_len()];

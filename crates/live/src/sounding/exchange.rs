@@ -5,7 +5,7 @@ use csi5300::exchange::tdma::{Event, Tdma, Transmit};
 use csi5300::internal::FrameReceiver;
 use csi5300::source::{Error, Injector, NotSent};
 use csi5300::time::{Instant, Span};
-use driver_iface::sounding::FCS_LEN;
+use driver_iface::mpdu;
 use driver_iface::sounding::native::Role;
 use hdrhistogram::Histogram;
 use std::fmt::Write;
@@ -67,7 +67,7 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
             }
             let Some(heard) = self.air.hear()? else { break };
             let ended = at - heard.age;
-            let heard_len = heard.frame.len() + FCS_LEN;
+            let heard_len = heard.frame.len() + mpdu::FCS;
             self.tdma.handle_heard(at, ended, heard.frame);
             self.send_due(now, Some((ended, heard_len)), tell)?;
         }

@@ -8,9 +8,10 @@ use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::bfee::Bfee;
+use driver_iface::mpdu;
 use driver_iface::record::{Tail, code};
+use driver_iface::sounding::Frame;
 use driver_iface::sounding::native::{self, Role};
-use driver_iface::sounding::{FCS_LEN, Frame};
 
 #[test]
 fn the_module_s_records_are_in_the_log() {
@@ -47,7 +48,7 @@ fn heard(log: &str, sender: Mac, role: Option<Role>) -> Vec<(u32, u32, u8)> {
         if let Next::Record(_, record) = &next
             && record.code == code::MPDU
         {
-            let frame = Frame::new_checked(&record.body[..record.body.len() - FCS_LEN]).unwrap();
+            let frame = Frame::new_checked(&record.body[..record.body.len() - mpdu::FCS]).unwrap();
             other = native::Repr::parse(&frame).is_some_and(|frame| role.is_some_and(|role| frame.role != role));
         }
         if matches!(next, Next::End(_)) {

@@ -322,25 +322,6 @@ fn the_state_is_served_on_a_socket_and_a_signal_ends_the_robot_in_order() {
     assert!(err.contains("does the node run"), "{err}");
 }
 
-#[test]
-fn the_log_of_a_robot_that_was_killed_can_be_read() {
-    let folder = folder("node-killed");
-    let text = format!(
-        "{}[output]\nbearings = \"\"\n[log]\nfile = \"{}/own.dat\"\n",
-        endless_room(&folder, "speed = 4"),
-        folder.display()
-    );
-    let mut node = started(&folder, &text);
-    while std::fs::metadata(folder.join("own.dat")).map_or(0, |log| log.len()) < 20_000 {
-        assert!(node.0.try_wait().unwrap().is_none(), "the robot ended by itself");
-        std::thread::yield_now();
-    }
-    node.0.kill().unwrap();
-    node.0.wait().unwrap();
-    let survey = survey(&folder.join("own.dat"));
-    assert!(survey.wsr >= 80 && survey.damages == 0, "{survey:?}");
-}
-
 /// What is in a log.
 fn survey(log: &Path) -> Survey {
     let (mut log, mut survey) = (Replay::open(log).unwrap(), Survey::default());

@@ -2,7 +2,8 @@
 
 use crate::Fallible;
 use csi5300::driver_iface::Mac;
-use csi5300::driver_iface::sounding::native::{Measurement, SUBCARRIERS};
+use csi5300::driver_iface::bfee::SUBCARRIERS;
+use csi5300::driver_iface::sounding::native::Measurement;
 use csi5300::exchange::tdma::{Config, Epoch, Event, Plan, PlanError, Request, Tdma};
 use csi5300::pipeline::live::LiveSettings;
 use csi5300::source::Injector;

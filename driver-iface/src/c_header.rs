@@ -1,9 +1,11 @@
 //! The C header has the same constants as Rust. No C compiler is needed: the header contains only `#define`s.
-#![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use std::collections::BTreeMap;
+use std::string::String;
+use std::vec::Vec;
+use std::{assert_eq, format, vec};
 
-use driver_iface::{bfee, connector, mpdu, radiotap, record, sounding};
+use crate::{bfee, connector, mpdu, radiotap, record, sounding};
 
 /// Every object-like macro of the header: name without prefix, and value as text.
 fn macros() -> BTreeMap<&'static str, &'static str> {
@@ -22,7 +24,7 @@ fn number(text: &str) -> i64 {
     text.strip_prefix("0x").map_or_else(|| text.parse().unwrap(), |hex| i64::from_str_radix(hex, 16).unwrap())
 }
 
-/// Names and values as Rust has them.
+/// Names and values as Rust has them; those that only C needs, as Linux's headers do.
 #[rustfmt::skip]
 fn of_rust() -> Vec<(&'static str, i64)> {
     use bfee::{offset as b, rate};
@@ -31,15 +33,15 @@ fn of_rust() -> Vec<(&'static str, i64)> {
     use record::code;
     macro_rules! table { ($($name:literal => $value:expr,)*) => { vec![$(($name, i64::try_from($value).unwrap())),*] } }
     table! {
-        "AF_NETLINK" => c::AF_NETLINK, "NETLINK_CONNECTOR" => c::NETLINK_CONNECTOR, "SOL_NETLINK" => c::SOL_NETLINK,
-        "NETLINK_ADD_MEMBERSHIP" => c::NETLINK_ADD_MEMBERSHIP, "NETLINK_NO_ENOBUFS" => c::NETLINK_NO_ENOBUFS,
+        "AF_NETLINK" => 16, "NETLINK_CONNECTOR" => c::NETLINK_CONNECTOR, "SOL_NETLINK" => 270,
+        "NETLINK_ADD_MEMBERSHIP" => 1, "NETLINK_NO_ENOBUFS" => 5,
         "NLMSG_DONE" => c::NLMSG_DONE, "NLMSGHDR" => c::NLMSGHDR, "CN_MSG" => c::CN_MSG, "HEADERS" => c::HEADERS,
         "MAX_DATAGRAM" => c::MAX_DATAGRAM, "CN_IDX" => c::CN_IDX, "CN_IDX_10_USERS" => c::CN_IDX_10_USERS,
-        "CN_IDX_8_USERS" => c::CN_IDX_8_USERS, "CN_IDX_EARLY" => c::CN_IDX_EARLY, "CN_VAL" => c::CN_VAL,
-        "OFF_NLMSG_LEN" => d::NLMSG_LEN, "OFF_NLMSG_TYPE" => d::NLMSG_TYPE, "OFF_NLMSG_FLAGS" => d::NLMSG_FLAGS,
-        "OFF_NLMSG_SEQ" => d::NLMSG_SEQ, "OFF_NLMSG_PID" => d::NLMSG_PID, "OFF_CN_IDX" => d::CN_IDX,
-        "OFF_CN_VAL" => d::CN_VAL, "OFF_CN_SEQ" => d::CN_SEQ, "OFF_CN_ACK" => d::CN_ACK, "OFF_CN_LEN" => d::CN_LEN,
-        "OFF_CN_FLAGS" => d::CN_FLAGS, "OFF_DATA" => d::DATA,
+        "CN_IDX_8_USERS" => 23, "CN_IDX_EARLY" => 254, "CN_VAL" => c::CN_VAL,
+        "OFF_NLMSG_LEN" => 0, "OFF_NLMSG_TYPE" => d::NLMSG_TYPE, "OFF_NLMSG_FLAGS" => 6,
+        "OFF_NLMSG_SEQ" => 8, "OFF_NLMSG_PID" => 12, "OFF_CN_IDX" => d::CN_IDX,
+        "OFF_CN_VAL" => d::CN_VAL, "OFF_CN_SEQ" => 24, "OFF_CN_ACK" => 28, "OFF_CN_LEN" => d::CN_LEN,
+        "OFF_CN_FLAGS" => 34, "OFF_DATA" => c::HEADERS,
         "LENGTH_FIELD" => record::LENGTH_FIELD, "MAX_LENGTH" => record::MAX_LENGTH,
         "CODE_BFEE" => code::BFEE, "CODE_RX_PHY" => code::RX_PHY, "CODE_MPDU" => code::MPDU, "CODE_RX" => code::RX,
         "CODE_NOISE" => code::NOISE, "CODE_TX_RESP" => code::TX_RESP, "CODE_TX_BLOCK_AGG" => code::TX_BLOCK_AGG,
@@ -58,10 +60,10 @@ fn of_rust() -> Vec<(&'static str, i64)> {
         "MPDU_HEADER" => m::HEADER, "MPDU_FCS" => m::FCS, "MPDU_FRAME_CONTROL" => h::FRAME_CONTROL,
         "MPDU_DURATION" => h::DURATION, "MPDU_ADDR1" => h::ADDR1, "MPDU_ADDR2" => h::ADDR2, "MPDU_ADDR3" => h::ADDR3,
         "MPDU_SEQ_CTRL" => h::SEQ_CTRL, "MPDU_COUNTER" => h::COUNTER,
-        "SOUNDING_HEADER_LEN" => m::HEADER, "SOUNDING_FCS_LEN" => sounding::FCS_LEN,
+        "SOUNDING_HEADER_LEN" => m::HEADER, "SOUNDING_FCS_LEN" => m::FCS,
         "SOUNDING_MIN_LEN" => sounding::MIN_LEN, "SOUNDING_DEFAULT_LEN" => sounding::wsr::DEFAULT_LEN,
         "SOUNDING_REPLY_GROWTH" => sounding::wsr::REPLY_GROWTH, "RADIOTAP_MIN_LEN" => radiotap::MIN_LEN,
-        "RADIOTAP_FLAGS_FCS" => radiotap::FLAGS_FCS, "RADIOTAP_FLAGS_DATAPAD" => radiotap::FLAGS_DATAPAD,
+        "RADIOTAP_FLAGS_FCS" => radiotap::FLAGS_FCS, "RADIOTAP_FLAGS_DATAPAD" => 0x20,
         "RADIOTAP_FLAGS_BAD_FCS" => radiotap::FLAGS_BAD_FCS, "RADIOTAP_TX_FLAGS_NO_ACK" => radiotap::TX_FLAGS_NO_ACK,
     }
 }
