@@ -33,14 +33,13 @@ pub const MAX_BODY: usize = WSR_HEADER + 552;
 /// Value of `noise` if the driver has no measurement (IWL_NOISE_MEAS_NOT_AVAILABLE): always the case without beacons.
 pub const NOISE_UNKNOWN_DBM: i8 = -127;
 
-/// Offsets of the fields in the body (without the code byte). In a `.dat` log add 3, in a datagram 37.
+/// Offsets of the fields in the body (without the code byte). In a `.dat` log add 3, in a datagram 37. At 0 is the card's clock (u32,
+/// microseconds). WSR layouts add the microseconds (u32) at 24 and the address (6 bytes) at 28; that of 2023 has the frame number (u32) at 34.
 pub mod offset {
-    /// u32, microseconds.
-    pub const TIMESTAMP_LOW: usize = 0;
     /// u16, wraps.
     pub const BFEE_COUNT: usize = 4;
     /// u16, firmware leftovers.
-    pub const RESERVED: usize = 6;
+    pub(crate) const RESERVED: usize = 6;
     /// u8, 1 to 3.
     pub const N_RX: usize = 8;
     /// u8, 1 to 3.
@@ -48,23 +47,17 @@ pub mod offset {
     /// u8 each for antennas A, B, C.
     pub const RSSI: usize = 10;
     /// i8, dBm.
-    pub const NOISE: usize = 13;
+    pub(crate) const NOISE: usize = 13;
     /// u8, dB.
-    pub const AGC: usize = 14;
+    pub(crate) const AGC: usize = 14;
     /// u8, three 2-bit antenna numbers.
     pub const ANTENNA_SEL: usize = 15;
     /// u16, bytes of packed CSI.
     pub const LEN: usize = 16;
     /// u16.
-    pub const RATE_N_FLAGS: usize = 18;
+    pub(crate) const RATE_N_FLAGS: usize = 18;
     /// u32, WSR layouts only.
     pub const TV_SEC: usize = 20;
-    /// u32, WSR layouts only.
-    pub const TV_USEC: usize = 24;
-    /// 6 bytes, WSR layouts only.
-    pub const MAC: usize = 28;
-    /// u32, WSR layout only, not that of 2021.
-    pub const FRAME_COUNT: usize = 34;
 }
 
 /// Bits of [`Bfee::rate_n_flags`] (`dvm/commands.h`, RATE_MCS_*); the driver keeps the low 14.
