@@ -19,7 +19,7 @@ use csi5300::pipeline::{
     OdometryFit, OneLog, OneLogReport, Options, Transmitter, bearings, lost_something, one_log,
 };
 use csi5300::signal::channel::Channel;
-use csi5300::source::{CsiSource, read_key};
+use csi5300::source::{CsiSource, read_key, side_path};
 use csi5300_lab::cards::{CardSurvey, is_log};
 use csi5300_lab::evaluate::captures::{Sorted, loose_files, receiver, the_trajectory};
 use csi5300_lab::evaluate::{TRUTH_FILE, channel_in};
@@ -666,7 +666,9 @@ fn take_roles(args: &mut Args) -> Words<()> {
         let needed = "one robot with two antennas gives bearings (--antennas, --baseline)";
         return Err(format!("{} is a log of another card: of these, {needed}", file.display()));
     }
-    if let (Some(file), true) = (others.first(), is_named_one_by_one) {
+    // What `*` brings along of a folder is read with the logs.
+    let is_beside = |file: &PathBuf| file.ends_with(TRUTH_FILE) || logs.iter().any(|log| side_path(log) == *file);
+    if let (Some(file), true) = (others.iter().find(|file| !is_beside(file)), is_named_one_by_one) {
         must_not_be_empty(file)?;
         let why = csv::read_as(file, args.logs.columns.as_ref()).err();
         let why = why.map_or_else(|| file.display().to_string(), |error| trajectory_refused(file, &error));

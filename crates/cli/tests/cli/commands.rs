@@ -120,6 +120,18 @@ fn files_are_told_apart_by_their_content() {
         assert_eq!((status, azimuth_deg(&out)), (0, by_option), "{err}");
         assert!(err.contains("rx.dat is the receiver's log"), "{err}");
     }
+    // What a shell makes of `*` has side files and the truth.
+    std::fs::create_dir(folder.0.join("all")).unwrap();
+    for log in ["rx.dat", "tx.dat"] {
+        folder.says(&["export", "--dat", log, &format!("all/{log}"), "--layout", "stock"], 0, &[]);
+    }
+    std::fs::copy(folder.0.join("t.csv"), folder.0.join("all/t.csv")).unwrap();
+    folder.write("all/groundtruth_positions.json", b"{}");
+    let all = ["groundtruth_positions.json", "rx.dat", "rx.datstp", "t.csv", "tx.dat", "tx.datstp"];
+    let all = all.map(|name| format!("all/{name}"));
+    let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    folder.says(&[&["bearing", "--channel", "108"], &all[..]].concat(), 0, &["rx.dat is the receiver's log"]);
+    folder.says(&[&["bearing", "--channel", "108", "rx.dat"], &all[2..]].concat(), 1, &["all/rx.datstp: no row"]);
     // The page of the same folder has its link.
     folder.says(&["evaluate", ".", "--channel", "108", "--html", "page.html"], 0, &["page.html: 1 link,"]);
     folder.says(&["view", "rx.dat", "tx.dat"], 2, &["into one folder"]);
