@@ -20,7 +20,7 @@ const SEARCHED: u64 = 1 << 20;
 pub fn not_a_log(path: &Path) -> Option<&'static str> {
     let bytes = beginning(path);
     let card = crate::cards::is_log(path).then_some(OTHER_CARD);
-    card.or_else(|| binary_kind(&bytes)).or_else(|| text_kind(&bytes)).filter(|_| !has_record(path))
+    card.or_else(|| binary_kind(path, &bytes)).or_else(|| text_kind(&bytes)).filter(|_| !has_record(path))
 }
 
 /// Why a file gives no trajectory, in words, with its name and its kind.
@@ -31,7 +31,7 @@ pub fn trajectory_refused(path: &Path, error: &CsvError) -> String {
         // Names the file.
         CsvError::Io { .. } => error.to_string(),
         _ if has_record(path) => format!("{name} is a log of CSI: {A_TRAJECTORY}"),
-        _ => match binary_kind(&beginning(path)) {
+        _ => match binary_kind(path, &beginning(path)) {
             Some(kind) => format!("{name} is another kind of file, {kind}: {A_TRAJECTORY}"),
             None => format!("{name}: {error}"),
         },
@@ -63,8 +63,8 @@ pub(crate) fn has_record(path: &Path) -> bool {
     false
 }
 
-/// Kinds of files with a magic number.
-fn binary_kind(bytes: &[u8]) -> Option<&'static str> {
+/// Kinds of files with a magic number, and side files.
+fn binary_kind(path: &Path, bytes: &[u8]) -> Option<&'static str> {
     const MARKS: [(&[u8], &str); 16] = [
         (
             b"\x89MCAP0\r\n",
@@ -86,7 +86,8 @@ fn binary_kind(bytes: &[u8]) -> Option<&'static str> {
         (b"BZh", "compressed by bzip2"),
         (b"\xfd7zXZ", "compressed by xz"),
     ];
-    MARKS.iter().find(|(mark, _)| bytes.starts_with(mark)).map(|(_, kind)| *kind)
+    let marked = MARKS.iter().find(|(mark, _)| bytes.starts_with(mark)).map(|(_, kind)| *kind);
+    marked.or(path.extension().is_some_and(|end| end == "datstp").then_some("host times (read with the log beside it)"))
 }
 
 /// Kinds of text. A log is never text: each record starts with the high byte of its length.

@@ -131,7 +131,9 @@ fn files_are_told_apart_by_their_content() {
     let all = all.map(|name| format!("all/{name}"));
     let all: Vec<&str> = all.iter().map(String::as_str).collect();
     folder.says(&[&["bearing", "--channel", "108"], &all[..]].concat(), 0, &["rx.dat is the receiver's log"]);
-    folder.says(&[&["bearing", "--channel", "108", "rx.dat"], &all[2..]].concat(), 1, &["all/rx.datstp: no row"]);
+    let beside_none = "all/rx.datstp is another kind of file, host times";
+    folder.says(&[&["bearing", "--channel", "108", "rx.dat"], &all[2..]].concat(), 1, &[beside_none]);
+    folder.says(&["info", "all/rx.dat", "all/rx.datstp"], 3, &[beside_none]);
     // The page of the same folder has its link.
     folder.says(&["evaluate", ".", "--channel", "108", "--html", "page.html"], 0, &["page.html: 1 link,"]);
     folder.says(&["view", "rx.dat", "tx.dat"], 2, &["into one folder"]);
