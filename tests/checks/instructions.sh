@@ -13,7 +13,7 @@ count() { echo $((($(run "$1" 3) - $(run "$1" 1)) / 2)); }
 direct=$(count direct)
 failed=0
 # Job, and its instructions in percent of the direct sums: half as much again as was measured.
-for bound in "profile 45" "link 145"; do
+for bound in "profile 45" "link 230"; do
     read -r job most <<<"$bound"
     share=$((100 * $(count "$job") / direct))
     printf '%s: %s %% of the instructions of direct sums in 3,600 directions, at most %s\n' "$job" "$share" "$most"
