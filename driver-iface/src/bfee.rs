@@ -34,7 +34,8 @@ pub const MAX_BODY: usize = WSR_HEADER + 552;
 pub const NOISE_UNKNOWN_DBM: i8 = -127;
 
 /// Offsets of the fields in the body (without the code byte). In a `.dat` log add 3, in a datagram 37. At 0 is the card's clock (u32,
-/// microseconds). WSR layouts add the microseconds (u32) at 24 and the address (6 bytes) at 28; that of 2023 has the frame number (u32) at 34.
+/// microseconds). WSR layouts also have the microseconds of the host's time (u32) at 24 and the sender's address (6 bytes) at 28; the layout
+/// of 2023 has the frame number (u32) at 34.
 pub mod offset {
     /// u16, wraps.
     pub const BFEE_COUNT: usize = 4;

@@ -102,3 +102,60 @@ fn every_bfee_unpacks_alike_and_every_frame_has_its_checksum() {
     println!("{stock} stock, {wsr} WSR, {frames} frames");
     assert!(stock > 0 && wsr > 0 && frames > 0);
 }
+
+/// xorshift, so that the damage is the same on every run.
+fn noise(state: &mut u64) -> u64 {
+    *state ^= *state << 13;
+    *state ^= *state >> 7;
+    *state ^= *state << 17;
+    *state
+}
+
+/// Intact records (those without byte `at`) that are not found in order, and found records that do not exist.
+fn lost_and_false(intact: &[&[u8]], at: usize, damaged: &[u8]) -> (usize, usize) {
+    let steps: Vec<_> = events(damaged).collect();
+    let found: Vec<_> = steps.iter().filter_map(|step| framed(damaged, step)).collect();
+    let (mut end, mut next, mut lost, mut matched) = (0, 0, 0, 0);
+    for record in intact {
+        end += record.len();
+        if at < end && at + record.len() >= end {
+            continue;
+        }
+        match found[next..].iter().take(3).position(|f| f == record) {
+            Some(k) => {
+                next += k + 1;
+                matched += 1;
+            }
+            None => lost += 1,
+        }
+    }
+    (lost, found.len() - matched)
+}
+
+#[test]
+fn damage_costs_the_record_it_is_in() {
+    let Some(folder) = captures() else { return };
+    let mut state = 88_172_645_463_325_252_u64;
+    let (mut cases, mut lost, mut counterfeit) = (0, 0, 0);
+    for path in logs_below(&folder).iter().filter(|path| path.components().any(|c| c.as_os_str() == "csitool")) {
+        let mut bytes = std::fs::read(path).unwrap();
+        bytes.truncate(20_000);
+        let (intact, left) = walk(&bytes);
+        let whole = &bytes[..bytes.len() - left];
+        for case in 0..1_500 {
+            let at = (noise(&mut state) % whole.len() as u64) as usize;
+            let mut damaged = whole.to_vec();
+            if case % 2 == 0 {
+                damaged.remove(at);
+            } else {
+                damaged.splice(at..at, (0..100).map(|_| noise(&mut state) as u8));
+            }
+            let (gone, fake) = lost_and_false(&intact, at, &damaged);
+            assert!(gone <= 1, "{} damaged at {at} (case {case}): {gone} intact records lost", path.display());
+            (cases, lost, counterfeit) = (cases + 1, lost + gone, counterfeit + fake);
+        }
+    }
+    println!("{cases} cases: {lost} intact records lost, {counterfeit} damaged ones believed");
+    assert!(lost * 100 <= cases, "{lost} intact records lost in {cases} cases");
+    assert!(counterfeit * 10 <= cases, "{counterfeit} damaged records believed in {cases} cases");
+}

@@ -1000,3 +1000,22 @@ fn answers_to_an_older_session_of_this_robot_make_no_pair() {
     assert_eq!(answered(&older.2), (0, 1));
     assert_eq!(answered(&answer), (1, 1));
 }
+
+#[test]
+fn two_cold_starters_without_a_common_clock_end_up_with_one_initiator() {
+    for seed in 0..20 {
+        let mut configs = everybody(2, Request::new(1, 400.0));
+        let skews = [Skew { offset_us: 0, ppm: 0 }, Skew { offset_us: 160_000 + 97 * seed as i64, ppm: 30 }];
+        for (config, skew) in configs.iter_mut().zip(&skews) {
+            config.epoch = Epoch::Heard(skew.local(0));
+        }
+        let mut air = Air::new(&configs, seed);
+        air.restart_with_skew(&configs, &skews);
+        air.jitter_us = 30;
+        air.run_s(20);
+        let (before, collisions) = (air.pairs(), air.collisions);
+        air.run_s(10);
+        assert!(air.pairs() - before > 3_900, "seed {seed}: {}", air.pairs() - before);
+        assert_eq!(air.collisions, collisions, "seed {seed}");
+    }
+}

@@ -226,3 +226,30 @@ fn figures_of_different_scenes_differ() {
     }
     assert!(!differs("record length, highest") && !differs("rate_n_flags, total variation distance"));
 }
+
+#[test]
+fn compare_neither_overwrites_what_it_reads_nor_removes_what_is_there() {
+    let folder = Folder::new("compare-outputs");
+    std::fs::create_dir_all(folder.0.join("simulated")).unwrap();
+    let names = ["rx.dat", "tx.dat", "fitted-trajectory.csv", "trajectory.csv", "scene.toml", "simulated/kept.csv"];
+    for name in names {
+        folder.write(name, name.as_bytes());
+    }
+    let paper = crate::common::root().join("scenes/paper-circle.toml");
+    let paper = paper.to_str().unwrap();
+    let refused: [(&[&str], &str, &str); 5] = [
+        (&["trajectory.csv"], "108", "already exists: --force"),
+        (&["fitted-trajectory.csv", "--force"], "108", "fitted-trajectory.csv is an input"),
+        (&["simulated/kept.csv", "--force"], "108", "is an input inside"),
+        (&["trajectory.csv", paper], "108", "simulated already exists"),
+        (&["trajectory.csv", paper, "--force"], "36", "not of --channel 36"),
+    ];
+    for (more, channel, words) in refused {
+        let usual =
+            ["simulate", "--rx", "rx.dat", "--tx", "tx.dat", "--out", ".", "--channel", channel, "--trajectory"];
+        folder.says(&[&usual, more].concat(), 1, &[words]);
+    }
+    for name in names {
+        assert_eq!(std::fs::read_to_string(folder.0.join(name)).unwrap(), name);
+    }
+}

@@ -210,6 +210,34 @@ fn logs_of_two_runs_of_two_robots_are_refused() {
 }
 
 #[test]
+fn logs_of_two_runs_of_four_robots_are_refused() {
+    let Some(captures) = crate::common::captures() else { return };
+    let mut runs: Vec<(PathBuf, Vec<PathBuf>, PathBuf)> = Vec::new();
+    for (set, places) in [("LOS_Set_A", 6), ("NLOS_Set_A", 6), ("NLOS_Set_C", 2)] {
+        for place in 1..=places {
+            let folder = captures.join("wsr").join(set).join(format!("L{place}"));
+            let mut files: Vec<PathBuf> = folder.read_dir().unwrap().map(|entry| entry.unwrap().path()).collect();
+            files.sort();
+            let starts = |path: &&PathBuf, with: &str| path.file_name().unwrap().to_string_lossy().starts_with(with);
+            let of = |with: &str| files.iter().filter(|path| starts(path, with)).cloned().collect::<Vec<_>>();
+            runs.push((of("csi_rx").remove(0), of("csi_tx"), of("rx_trajectory").remove(0)));
+        }
+    }
+    let mut refused = 0;
+    // The next capture, and one of another place.
+    for apart in [1, 5] {
+        for (own, other) in runs.iter().zip(runs.iter().cycle().skip(apart)) {
+            for tx in &other.1 {
+                let bearing = run(&own.0, tx, &own.2, &options());
+                assert!(bearing.is_err(), "{} {}", own.0.display(), tx.display());
+                refused += 1;
+            }
+        }
+    }
+    assert_eq!(refused, 76);
+}
+
+#[test]
 fn exchanged_logs_are_detected_by_the_other_robots_clock() {
     let Some(captures) = crate::common::captures() else { return };
     // In these the robots' host clocks differ by more than the run's length.

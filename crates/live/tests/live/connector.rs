@@ -107,6 +107,49 @@ fn an_overrun_is_a_gap_of_known_size_and_nothing_after_it_is_lost() {
 }
 
 #[test]
+fn messages_are_dropped_and_counted_until_the_queue_is_empty() {
+    if !inside(concat!(module_path!(), "::messages_are_dropped_and_counted_until_the_queue_is_empty"), "-Urn") {
+        return;
+    }
+    let mut listener = listen(32 * 1024, Some(CN_IDX));
+    let mut sender = Sender::open(CN_IDX, true).unwrap();
+    send(&mut sender, 0..1_000);
+    // A few are read; the kernel goes on dropping until all are.
+    for expected in 0..3 {
+        let Next::Record(_, record) = listener.receive(Instant::ZERO).unwrap() else { panic!("record {expected}") };
+        assert_eq!(record.body[4], expected);
+    }
+    send(&mut sender, 1_000..1_050);
+    let mut got = take(&mut listener);
+    assert!(matches!(got.pop(), Some(Got::Lost(Loss::Overrun { dropped: Some(_) }))));
+    let last = 3 + got.len() as u16;
+    assert_eq!(got, bfees(3..last));
+    send(&mut sender, 1_050..1_060);
+    assert_eq!(take(&mut listener), bfees(1_050..1_060));
+    let counters = listener.counters();
+    assert_eq!(counters.kernel_drops, 1_050 - u64::from(last));
+    assert_eq!(counters.overrun_bfee_gap, counters.kernel_drops);
+}
+
+#[test]
+fn a_slow_listener_loses_only_its_own_copy() {
+    if !inside(concat!(module_path!(), "::a_slow_listener_loses_only_its_own_copy"), "-Urn") {
+        return;
+    }
+    let (mut fast, mut slow) = (listen(LARGE, Some(CN_IDX)), listen(32 * 1024, Some(CN_IDX)));
+    let mut sender = Sender::open(CN_IDX, true).unwrap();
+    let mut received = Vec::new();
+    for from in (0..5_000).step_by(100) {
+        send(&mut sender, from..from + 100);
+        received.extend(take(&mut fast));
+    }
+    assert_eq!(received, bfees(0..5_000));
+    assert_eq!(fast.counters().overruns, 0);
+    let late = take(&mut slow);
+    assert!(matches!(late.last(), Some(Got::Lost(Loss::Overrun { dropped: Some(dropped) })) if *dropped > 0));
+}
+
+#[test]
 fn refusals_say_what_to_do() {
     if !inside(concat!(module_path!(), "::refusals_say_what_to_do"), "-Urn") {
         return;

@@ -1,5 +1,6 @@
 //! Robots in processes of their own that exchange records through zenoh: each replays its own log.
 
+use crate::robots::{Offline, offline};
 use crate::{Running, folder};
 use csi5300_sim::{Room, Scene, write_dataset};
 use std::fmt::Write as _;
@@ -280,6 +281,78 @@ fn four_processes_of_which_one_is_killed_and_started_again() {
         }
         own.end();
         others.into_iter().for_each(Node::end);
+        Ok(())
+    });
+}
+
+/// Times its own pace at which a real capture is played.
+const REAL_SPEEDS: [f64; 3] = [16.0, 4.0, 1.0];
+
+#[test]
+fn real_captures_through_two_nodes_give_what_is_made_offline() {
+    let Some(captures) = crate::common::captures() else { return };
+    let mut compared = 0;
+    for set in ["LOS_Set_A/L1", "NLOS_Set_A/L1"] {
+        let capture = captures.join("wsr").join(set);
+        if !capture.is_dir() {
+            continue;
+        }
+        let Offline { rx, trajectory, txs, own, links } = offline(&capture, None);
+        // One link at a time: two nodes.
+        for (tx, (mac, azimuth, pairs)) in txs.iter().zip(&links) {
+            let folder = folder(&format!("peers-real-{compared}"));
+            in_time(&REAL_SPEEDS, |speed| {
+                let port = free_port();
+                let driver = format!(
+                    "mac = \"{own}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {speed} }}\n\
+                 odometry.csv.file = '{}'\n[estimator]\nwindow_m = 1000\nwindow_s = 100000\nrate_hz = 0.02\n\
+                 [[peer]]\nname = \"r1\"\nmac = \"{mac}\"\nrecords.network = {{}}\n",
+                    rx.display(),
+                    trajectory.display()
+                );
+                let driver =
+                    driver + &network(&folder, &format!("listen = [\"tcp/127.0.0.1:{port}\"]\nbacklog = 100000"));
+                let publisher = format!(
+                    "mac = \"{mac}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {speed} }}\n",
+                    tx.display()
+                );
+                let connect = format!("connect = [\"tcp/127.0.0.1:{port}\"]\npublish_records = true\nbacklog = 100000");
+                let publisher = publisher + &network(&folder, &connect);
+                let mut own = Node::start(&folder, "r0", &driver);
+                let reports = own.reports();
+                let other = Node::start(&folder, "r1", &publisher);
+                let last = last(reports, 1).remove(0);
+                // Some were too late for the others.
+                if last["pairs"].as_u64() < Some(*pairs) {
+                    return Err(format!("{pairs} pairs offline: {last}"));
+                }
+                let off = last["azimuth_deg"].as_f64().unwrap_or_else(|| panic!("no bearing: {last}")) - azimuth;
+                println!(
+                    "{set} {mac}: {azimuth:.3} deg offline, {off:+.4} deg through two nodes, {} pairs",
+                    last["pairs"]
+                );
+                assert!(off.abs() <= 0.01, "{off} {last}");
+                own.end();
+                other.end();
+                Ok(())
+            });
+            compared += 1;
+        }
+    }
+    assert!(compared >= 3, "{compared} links");
+}
+
+#[test]
+fn a_signal_ends_a_robot_that_publishes() {
+    let folder = folder("peers-signal");
+    let (logs, path, _) = capture(&folder, 2);
+    in_time(&SPEEDS, |speed| {
+        let at = (free_port(), speed);
+        let text = driver(&folder, &logs, &path, at) + "publish_records = true\npublish_poses = true\n";
+        let mut own = Node::start(&folder, "r0", &text);
+        let mut reports = own.reports();
+        reports.next().ok_or("the port was taken")?;
+        own.end();
         Ok(())
     });
 }
