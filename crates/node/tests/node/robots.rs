@@ -382,18 +382,18 @@ fn a_rolling_camera_gives_the_offline_bearings() {
 }
 
 /// A real capture, and what is made of it at once, as `csi5300 bearing` does.
-struct Offline {
-    rx: PathBuf,
-    trajectory: PathBuf,
-    txs: Vec<PathBuf>,
+pub(crate) struct Offline {
+    pub rx: PathBuf,
+    pub trajectory: PathBuf,
+    pub txs: Vec<PathBuf>,
     /// The receiver's MAC.
-    own: String,
+    pub own: String,
     /// Of each log of a transmitter: its MAC, its bearing in degrees, and pairs.
-    links: Vec<(String, f64, u64)>,
+    pub links: Vec<(String, f64, u64)>,
 }
 
 /// The bearings of a capture; of the tracking camera's poses where `camera` says how it is mounted.
-fn offline(capture: &Path, camera: Option<CameraMount>) -> Offline {
+pub(crate) fn offline(capture: &Path, camera: Option<CameraMount>) -> Offline {
     use csi5300::pipeline::{LinkReport, Transmitter, bearings};
     use csi5300::source::replay::Replay;
     let mut files: Vec<PathBuf> = std::fs::read_dir(capture).unwrap().map(|entry| entry.unwrap().path()).collect();
