@@ -104,6 +104,7 @@ impl<'a> Ways<'a> {
 }
 
 /// A motion and its channels, ready for any place.
+#[derive(Clone)]
 pub(crate) struct Field {
     points: Axes,
     /// The feet of the points, of a [`Ways`] that has them.
@@ -118,7 +119,7 @@ pub(crate) struct Field {
 }
 
 /// Displacements from the middle and their squares, in wavelengths, with zeros up to whole vectors of any width.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Axes {
     x: Vec<f32>,
     y: Vec<f32>,
@@ -141,6 +142,7 @@ impl Axes {
     }
 }
 
+#[derive(Clone)]
 struct Own {
     aperture: Aperture,
     /// What a wave that explains everything would give at each window length.
@@ -197,7 +199,7 @@ impl Field {
         let windows = |length: usize| blocks.div_ceil(1 << (lengths - 1 - length));
         let freedom = (0..lengths).map(|length| (independent - windows(length) as f64).max(0.0)).collect();
         let own = |aperture: Aperture| {
-            let full = (0..lengths).map(|length| full(&aperture.energy, &cuts, 1 << (lengths - 1 - length))).collect();
+            let full = full_of_each(&aperture.energy, &cuts, lengths);
             Own { aperture, full }
         };
         let apertures = apertures.into_iter().map(own).collect();
@@ -207,6 +209,31 @@ impl Field {
     /// The same channels and windows along other points.
     pub fn set_points(&mut self, points_m: &[Vector3<f64>]) {
         self.points.set(points_m, self.wavelength_m);
+    }
+
+    /// What a wave from a place leaves, with another amplitude in each of the shortest windows.
+    pub fn without(&self, place: &Place) -> Self {
+        let (mut rest, mut work) = (self.clone(), Work::new(self.points.x.len(), self.cuts.len()));
+        on_tier!(self.level, simd => self.steer(simd, place, &mut work));
+        for own in &mut rest.apertures {
+            let Aperture { path_gain, rows, energy } = &mut own.aperture;
+            let (cos, sin) = if *path_gain == 1 { (&work.cos, &work.sin) } else { (&work.cos2, &work.sin2) };
+            for cut in self.cuts.windows(2) {
+                let (rows, cos, sin) = (&mut rows[cut[0]..cut[1]], &cos[cut[0]..cut[1]], &sin[cut[0]..cut[1]]);
+                let sum = on_tier!(self.level, simd => window(simd, rows, cos, sin));
+                let mean = sum.map(|part| part / rows.len().max(1) as f32);
+                for ((row, cos), sin) in rows.iter_mut().zip(cos).zip(sin) {
+                    for k in 0..COLUMNS {
+                        row[k] -= mean[k] * cos + mean[COLUMNS + k] * sin;
+                        row[COLUMNS + k] -= mean[COLUMNS + k] * cos - mean[k] * sin;
+                    }
+                }
+                let taken: f32 = mean.iter().map(|part| part * part).sum();
+                energy[cut[0]..cut[1]].iter_mut().for_each(|energy| *energy -= f64::from(taken));
+            }
+            own.full = full_of_each(energy, &self.cuts, self.freedom.len());
+        }
+        rest
     }
 
     /// `ln L` of each place.
@@ -316,6 +343,11 @@ fn way<S: Simd>(simd: S, axes: &Axes, from: usize, towards: [V<S, f32>; 3], curv
     let bend = load(&axes.square).mul_add(curve, along);
     let ratio = curve.mul_add(bend, one).max(V::<S, f32>::splat(simd, 0.0)).sqrt();
     bend / (ratio + one)
+}
+
+/// The same at each of so many window lengths, the longest first.
+fn full_of_each(energy: &[f64], cuts: &[usize], lengths: usize) -> Vec<f64> {
+    (0..lengths).map(|length| full(energy, cuts, 1 << (lengths - 1 - length))).collect()
 }
 
 /// `sum over windows of (samples in it) (energy in it)`: what a wave that explains everything would give.
