@@ -74,7 +74,7 @@ pub fn read_trajectory(path: &Path) -> Words<Trajectory> {
 /// # Errors
 /// As [`read_trajectory`].
 pub fn read_trajectory_as(path: &Path, columns: Option<&Columns>) -> Words<Trajectory> {
-    let (trajectory, counts) = csv::read_as(path, columns).map_err(|error| trajectory_refused(path, &error))?;
+    let (trajectory, counts) = csv::read(path, columns).map_err(|error| trajectory_refused(path, &error))?;
     say_trajectory(path, &trajectory, &counts);
     Ok(trajectory)
 }

@@ -8,7 +8,7 @@ use csi5300::internal::{FrameHeard, Front};
 use csi5300::motion::odometry::csv::Columns;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Bearing, JoinBy, Options, Transmitter, bearings, lost_something};
-use csi5300::signal::channel::{Channel, SUBCARRIERS};
+use csi5300::signal::channel::Channel;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Unwrap32};
@@ -18,6 +18,7 @@ use csi5300_bag::messages::{
     TfMessage, Time, Transform, TransformStamped, Vector3,
 };
 use driver_iface::Mac;
+use driver_iface::bfee::SUBCARRIERS;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};

@@ -311,7 +311,7 @@ impl Sorted {
         for file in files {
             if has_record(&file) {
                 sorted.logs.push(file);
-            } else if csv::read_as(&file, columns).is_ok() {
+            } else if csv::read(&file, columns).is_ok() {
                 sorted.trajectories.push(file);
             } else {
                 sorted.others.push(file);
@@ -368,7 +368,7 @@ pub fn receiver(logs: &[PathBuf], trajectory: &Path, needs_two: bool) -> Result<
     if let Some((log, _)) = exactly_one(surveys.iter().filter(|(_, survey)| robots(survey) > 1)) {
         return Ok((*log).clone());
     }
-    if let Ok((poses, _)) = csv::read_as(trajectory, None)
+    if let Ok((poses, _)) = csv::read(trajectory, None)
         && let Some((from, to)) = poses.poses().first().zip(poses.poses().last())
     {
         let overlaps = |(a, b): (i64, i64)| (a as f64 * 1e-6) < to.t_s && b as f64 * 1e-6 > from.t_s;

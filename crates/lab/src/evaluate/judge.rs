@@ -236,7 +236,7 @@ impl Capture {
 
 /// Reads a trajectory and notes its losses.
 fn read_path(path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, Failure> {
-    let (trajectory, counts) = csv::read(&path).map_err(|error| match error {
+    let (trajectory, counts) = csv::read(&path, None).map_err(|error| match error {
         // An operating system's error names the file.
         CsvError::Io { .. } => error.to_string(),
         _ => format!("{}: {error}", path.display()),
@@ -356,7 +356,7 @@ impl Capture {
         }
         let mut others = [TrajectorySource::GroundTruth, TrajectorySource::T265].into_iter();
         let turn_rad = others.find_map(|other| {
-            let other = csv::read(&self.trajectory_of(other, "rx")).ok()?.0;
+            let other = csv::read(&self.trajectory_of(other, "rx"), None).ok()?.0;
             heading_between_rad(&recorded, &other)
         });
         turn_rad.map_or(Ok(recorded.clone()), |turn_rad| turned_by(&recorded, turn_rad))
