@@ -1,7 +1,7 @@
 //! `csi5300 mcap`.
 
 use super::args::Estimation;
-use super::files::{read_trajectory_as, told_apart};
+use super::files::{read_trajectory, told_apart};
 use super::{InWords, Outcome, Result, Words, fixed, info, some, usage};
 use csi5300::bartlett::{self, Grid};
 use csi5300::internal::{FrameHeard, Front};
@@ -83,8 +83,7 @@ pub fn run(args: &Args) -> Result {
     // As parts of topics.
     let stem = |path: &PathBuf| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let names = told_apart(args.logs.iter().map(stem).collect());
-    let trajectory =
-        args.trajectory.as_deref().map(|path| read_trajectory_as(path, args.columns.as_ref())).transpose()?;
+    let trajectory = args.trajectory.as_deref().map(|path| read_trajectory(path, args.columns.as_ref())).transpose()?;
     // Options are checked before the file is created.
     let options =
         args.channel.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));

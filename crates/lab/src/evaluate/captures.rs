@@ -98,6 +98,8 @@ pub struct Capture {
     /// Position of the tracking camera on the robot. If given, its trajectory rolls about the middle between the wheels, and the
     /// antenna's position is relative to that point. `None` if unknown.
     pub camera: Option<Mount>,
+    /// Only this part of the motion, seconds on the trajectory's clock: bearings are compared from the mean pose in it.
+    pub within_s: Option<(f64, f64)>,
 }
 
 impl Capture {
