@@ -8,8 +8,8 @@
 mod common;
 
 use common::job;
-use csi5300::bartlett::{Grid, Method};
-use csi5300::internal::{Planner, ProfileOptions};
+use csi5300::bartlett::Grid;
+use csi5300::internal::{Method, Planner, ProfileOptions};
 use csi5300::motion::odometry::csv;
 use csi5300::pipeline::{Accuracy, Effort, Options, Transmitter, bearings};
 use csi5300::source::replay::Replay;
@@ -41,7 +41,7 @@ fn link(times: usize) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
     let read = |name: &str| std::fs::read(folder.join(name)).expect("a fixture");
     let (rx, tx) = (read("csi_rx_2023-11-14_221320.dat"), read("csi_tx1_2023-11-14_221320.dat"));
-    let (path, _) = csv::read(&folder.join("rx_trajectory_2023-11-14_221320_.csv")).expect("a fixture");
+    let (path, _) = csv::read(&folder.join("rx_trajectory_2023-11-14_221320_.csv"), None).expect("a fixture");
     let options = Options::new("108".parse().expect("a channel"));
     let accuracy = Accuracy { effort: Effort::Everything, ..options.accuracy };
     let options = Options { accuracy, ..options.clone() };

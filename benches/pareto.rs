@@ -14,8 +14,8 @@ mod picture;
 use std::process::Command;
 
 use common::*;
-use csi5300::bartlett::{Grid, Method, Precision, Tier};
-use csi5300::internal::{Planner, ProfileOptions, Searcher};
+use csi5300::bartlett::{Grid, Tier};
+use csi5300::internal::{Method, Planner, Precision, ProfileOptions, Searcher};
 use csi5300::signal::samples::Samples;
 use picture::*;
 

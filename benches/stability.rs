@@ -10,8 +10,8 @@ mod picture;
 use std::f64::consts::TAU;
 
 use common::*;
-use csi5300::bartlett::{Error, Grid, Method, Precision, direction, search};
-use csi5300::internal::{Planner, ProfileOptions, oracle};
+use csi5300::bartlett::{Error, Grid, direction, search};
+use csi5300::internal::{Method, Planner, Precision, ProfileOptions, oracle};
 use csi5300::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::Complex64;

@@ -11,8 +11,8 @@ mod picture;
 use std::f64::consts::{PI, TAU};
 
 use common::*;
-use csi5300::bartlett::{Grid, Method, Precision, Tier};
-use csi5300::internal::{Planner, ProfileOptions, Searcher};
+use csi5300::bartlett::{Grid, Tier};
+use csi5300::internal::{Method, Planner, Precision, ProfileOptions, Searcher};
 use csi5300::maths::wrap_rad;
 use csi5300_sim::random::Stream;
 use nalgebra::Vector3;

@@ -93,7 +93,7 @@ fn replayed(scene: &Scene) -> Anything<Turn> {
     let folder = std::env::temp_dir().join(format!("csi5300-rendezvous-{}", std::process::id()));
     let captures = write_dataset(&mut Room::new(scene)?, &folder, &mut |_| {})?;
     let capture = captures.first().ok_or("no capture")?;
-    let (path, _) = csv::read(&folder.join(format!("odom_rx_trajectory_{}_.csv", capture.stamp)))?;
+    let (path, _) = csv::read(&folder.join(format!("odom_rx_trajectory_{}_.csv", capture.stamp)), None)?;
     let logs: Result<Vec<_>, Error> = capture.logs.iter().map(|log| Replay::open(&log.path)).collect();
     let mut logs = logs?.into_iter().map(|log| Box::new(log) as Box<dyn CsiSource + Send>);
     Ok(Turn { own: logs.next().ok_or("no log")?, others: logs.collect(), path })

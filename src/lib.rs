@@ -157,7 +157,7 @@ pub mod time;
 pub use driver_iface;
 pub use nalgebra;
 pub use num_complex;
-pub use source::replay::{Frame, Log};
+pub use source::log::{Frame, Log};
 
 /// What benches, examples and other crates of this workspace measure and fit beneath the library's interface: no part of
 /// it, and free to change with any version.
@@ -167,8 +167,8 @@ pub mod internal {
     pub mod dynamixel {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
     }
-    pub use crate::bartlett::planner::{Planner, ProfileOptions, oracle};
-    pub use crate::bartlett::search::Searcher;
+    pub use crate::bartlett::planner::{Method, Planner, Precision, ProfileOptions, oracle};
+    pub use crate::bartlett::search::{ElevationSearch, Searcher};
     pub use crate::estimate::heading;
     pub use crate::exchange::pairing::by_clock::{ByClock, Refusal};
     pub use crate::exchange::tdma::auth::{Proof, Prover};

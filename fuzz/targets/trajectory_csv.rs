@@ -4,7 +4,7 @@ use csi5300::motion::odometry::csv::parse;
 
 /// Runs the target.
 pub fn run(bytes: &[u8]) {
-    let Ok((trajectory, counts)) = parse(bytes) else { return };
+    let Ok((trajectory, counts)) = parse(bytes, None) else { return };
     let poses = trajectory.poses();
     assert!(poses.len() >= 2 && poses.len() as u64 <= counts.rows);
     assert!(poses.windows(2).all(|pair| pair[0].t_s < pair[1].t_s));

@@ -7,7 +7,7 @@ use crate::options::{Keywords, columns as columns_of};
 use crate::pool::{build, pool};
 use crate::records::{Records, selected};
 use csi5300::bartlett::Grid;
-use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError, RowError};
+use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError};
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{
@@ -109,7 +109,7 @@ fn trajectory(of: &Bound<'_, PyAny>, columns: Option<&Columns>) -> PyResult<Traj
                 _ => Kind::Trajectory,
             };
             let refused = |error: CsvError| Failure::new(kind(&error), trajectory_refused(&path, &error)).of(file);
-            csv::read_as(&path, columns.as_ref()).map_err(refused)
+            csv::read(&path, columns.as_ref()).map_err(refused)
         })?;
         (read, name)
     };
@@ -158,7 +158,7 @@ fn poses(rows: &PyReadonlyArray2<'_, f64>, columns: Option<&Columns>) -> Result<
                     None => poses.push(pose(row)),
                     Some(column) => {
                         counts.bad_rows += 1;
-                        counts.first_bad.get_or_insert((line, RowError::Number(column + 1)));
+                        counts.first_bad.get_or_insert((line, format!("column {} is not a finite number", column + 1)));
                     }
                 }
             }
@@ -171,7 +171,7 @@ fn poses(rows: &PyReadonlyArray2<'_, f64>, columns: Option<&Columns>) -> Result<
         let row: Vec<String> = row.iter().map(f64::to_string).collect();
         text += &(row.join(",") + "\n");
     }
-    csv::parse_as(text.as_bytes(), columns.or(own.as_ref()))
+    csv::parse(text.as_bytes(), columns.or(own.as_ref()))
 }
 
 /// A trajectory's poses as an array (n, 5): seconds, x, y, z (metres), heading (radians, NaN if unknown).

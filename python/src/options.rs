@@ -6,7 +6,7 @@ use csi5300::motion::pose::{Mount, Trajectory};
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{Accuracy, Effort, JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::{KeyFileError, read_key};
+use csi5300::source::{Error, read_key};
 use csi5300_lab::table::antennas;
 use driver_iface::Mac;
 use serde::Deserialize;
@@ -142,8 +142,8 @@ impl Keywords {
             options.antenna = one.ok_or_else(|| wrong(format!("antenna: {text:?} is not A, B or C")))?;
         }
         if let Some(path) = &self.key {
-            let refused = |error: KeyFileError| {
-                let unread = matches!(error, KeyFileError::Io { .. } | KeyFileError::NoFile { .. });
+            let refused = |error: Error| {
+                let unread = matches!(error, Error::Io { .. } | Error::NotAFile { .. });
                 Failure::new(if unread { Kind::OptionFile } else { Kind::Option }, format!("key: {error}"))
             };
             options.key = Some(read_key(path).map_err(refused)?);

@@ -4,7 +4,7 @@ mod bootstrap;
 mod rooms;
 
 use csi5300::pipeline::{Accuracy, Effort, Options};
-use csi5300_lab::evaluate::{Capture, Errors, Judged, Part, TrajectorySource, find};
+use csi5300_lab::evaluate::{Capture, Errors, Judged, TrajectorySource, find};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -49,12 +49,23 @@ fn options() -> Fallible<Options> {
 }
 
 /// Rows of all captures.
-fn evaluate(captures: &[Capture], source: TrajectorySource, part: Part, options: &Options) -> Vec<(String, Judged)> {
+fn evaluate(captures: &[Capture], source: TrajectorySource, options: &Options) -> Vec<(String, Judged)> {
     let of = |capture: &Capture| {
-        let rows = capture.evaluate_part(source, None, options, part, &mut |_, _, _| {}).rows;
+        let rows = capture.evaluate(source, None, options).rows;
         rows.into_iter().map(|row| (place(&capture.place), row)).collect::<Vec<_>>()
     };
     captures.par_iter().flat_map_iter(of).collect()
+}
+
+/// The captures, each with the parts `parts` of its motion, which is cut into [`PARTS`] equally long ones. A capture whose
+/// trajectory cannot be read, or does not move, stays whole.
+fn cut(captures: &[Capture], source: TrajectorySource, parts: std::ops::Range<u32>) -> Vec<Capture> {
+    let part = |capture: &Capture| {
+        let (start_s, end_s) = capture.path(source).ok()?.motion().window_s?;
+        let edge_s = |part: u32| start_s + (end_s - start_s) * f64::from(part) / f64::from(PARTS);
+        Some((edge_s(parts.start), edge_s(parts.end)))
+    };
+    captures.iter().map(|capture| Capture { within_s: part(capture), ..capture.clone() }).collect()
 }
 
 /// The last two folders of a capture's path: a set, and a place of it.
@@ -74,7 +85,7 @@ fn folds(captures: &[Capture]) -> Fallible<()> {
     for source in SOURCES {
         let mut sets: BTreeMap<String, BTreeMap<String, Vec<f64>>> = BTreeMap::new();
         let mut failed = 0;
-        for (place, row) in evaluate(captures, source, Part::WHOLE, &options) {
+        for (place, row) in evaluate(captures, source, &options) {
             match row.error_from_mean_pose_deg {
                 Some(error) => sets.entry(set(&place).into()).or_default().entry(place).or_default().push(error),
                 None => failed += 1,
@@ -134,7 +145,7 @@ fn designs(captures: &[Capture]) -> Fallible<()> {
         let mut first: Option<Vec<(String, Judged)>> = None;
         for (name, accuracy) in named_designs(usual.accuracy) {
             let own = Options { accuracy, ..usual.clone() };
-            let run = || one.install(|| evaluate(captures, source, Part::WHOLE, &own));
+            let run = || one.install(|| evaluate(captures, source, &own));
             // The first run fills the file cache.
             let rows = run();
             let began = Instant::now();
@@ -187,15 +198,15 @@ fn paired(first: &[(String, Judged)], second: &[(String, Judged)]) -> BTreeMap<S
 fn over_time(captures: &[Capture]) -> Fallible<()> {
     let options = options()?;
     for source in SOURCES {
-        for part in Part::each(PARTS) {
-            let errors = |part: Part| {
-                let rows = evaluate(captures, source, part, &options);
+        for part in 0..PARTS {
+            let errors = |parts| {
+                let rows = evaluate(&cut(captures, source, parts), source, &options);
                 Errors::of(rows.iter().filter_map(|(_, row)| row.error_from_mean_pose_deg))
             };
-            let (alone, so_far) = (errors(part), errors(part.and_before()));
+            let (alone, so_far) = (errors(part..part + 1), errors(0..part + 1));
             println!(
                 "{source}, quarter {}: alone {:.2} / {:.2} of {} links, with those before {:.2} / {:.2} of {} (mean / median, degrees)",
-                part.index + 1,
+                part + 1,
                 alone.mean_deg,
                 alone.median_deg,
                 alone.links,
@@ -214,7 +225,7 @@ fn skipping(captures: &[Capture]) -> Fallible<()> {
         let mut options = options()?;
         options.accuracy.effort = effort;
         let began = Instant::now();
-        let rows = evaluate(captures, TrajectorySource::GroundTruth, Part::WHOLE, &options);
+        let rows = evaluate(captures, TrajectorySource::GroundTruth, &options);
         Ok((began.elapsed().as_secs_f64(), rows))
     };
     let ((all_s, everything), (needed_s, needed)) = (run(Effort::Everything)?, run(Effort::Needed)?);

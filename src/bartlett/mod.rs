@@ -36,11 +36,11 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::sync::Arc;
 
 pub use csi5300_kernels::simd::Tier;
-pub use planner::{Explanation, Method, Precision};
-pub(crate) use planner::{Planner, ProfileOptions};
+pub use planner::Explanation;
+pub(crate) use planner::{Method, Planner, ProfileOptions};
 pub use scene::{Geometry, Shape};
-pub use search::{ElevationSearch, SearchPlan, search};
-pub(crate) use search::{Means, Searcher};
+pub(crate) use search::{ElevationSearch, Means, Searcher};
+pub use search::{SearchPlan, search};
 
 /// The Bartlett profile of `samples` over `grid` with the guarantee `|f~ - f| <= 1e-4 sum w |z|`. A receiver that did not move has a
 /// constant profile: that is a profile, though not a bearing.

@@ -288,8 +288,10 @@ pub(super) fn instructions(tier: Tier) -> &'static str {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Explanation {
     /// The method.
+    #[doc(hidden)]
     pub method: Method,
     /// The precision of the bulk of the work.
+    #[doc(hidden)]
     pub precision: Precision,
     /// The SIMD tier.
     pub tier: Tier,

@@ -63,6 +63,7 @@ pub struct SearchPlan {
     /// The SIMD tier.
     pub tier: Tier,
     /// The precision of the samples of the profile; peaks are climbed in double.
+    #[doc(hidden)]
     pub precision: Precision,
     /// Modes around a ring that phases can reach.
     pub band_limit: usize,
@@ -77,6 +78,7 @@ pub struct SearchPlan {
     /// Samples that each of these sums is over.
     pub samples: usize,
     /// What became of the elevation.
+    #[doc(hidden)]
     pub elevation: ElevationSearch,
     /// True if the motion is level: rings below the horizon are those above it.
     pub level: bool,

@@ -37,6 +37,7 @@ pub enum LinkSide {
 }
 
 /// A matched exchange.
+#[doc(hidden)] // for the crates of this workspace
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair<T> {
     /// Frame number shared by both frames.
@@ -78,6 +79,7 @@ pub struct SideCounts {
 /// [`poll_pair`](Self::poll_pair) until `None` after each, [`finish`](Self::finish) at the end of both logs, and
 /// [`poll_pair`](Self::poll_pair) until `None` once more. Pairs come in the order of the exchange, except for
 /// reordering; the first ones only when the clocks' difference is known.
+#[doc(hidden)] // for the crates of this workspace
 #[derive(Clone, Debug)]
 pub struct Pairing<T> {
     window: usize,

@@ -403,6 +403,7 @@ impl Trajectory {
     }
 
     /// What the times that it was given are rounded to, seconds, where several poses had one time.
+    #[doc(hidden)] // for the crates of this workspace
     #[must_use]
     pub fn time_step_s(&self) -> Option<f64> {
         self.rounded.map(|(step_s, _)| step_s)
@@ -714,6 +715,7 @@ fn roll(from: &Pose, to: &Pose) -> Vector3<f64> {
 
 /// The yaw of a quaternion: the heading of its x axis, radians.
 #[must_use]
+#[doc(hidden)]
 pub fn heading_of(rotation: &UnitQuaternion<f64>) -> f64 {
     let x = rotation * Vector3::x();
     x.y.atan2(x.x)

@@ -72,7 +72,7 @@ impl Capture {
     /// If it cannot be read or has too few rows.
     pub fn trajectory(self, file: impl AsRef<Path>) -> Result<Self, CaptureError> {
         let path = file.as_ref();
-        let read = csv::read(path).map_err(|source| CaptureError::Trajectory { path: path.to_owned(), source });
+        let read = csv::read(path, None).map_err(|source| CaptureError::Trajectory { path: path.to_owned(), source });
         Ok(Self { trajectory: Some(read?.0), ..self })
     }
 

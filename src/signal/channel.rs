@@ -1,14 +1,15 @@
 //! WiFi channels: centre frequency, wavelength, and the subcarriers of which the card reports CSI.
 
+pub(crate) use driver_iface::bfee::SUBCARRIERS;
 use std::fmt;
 use std::str::FromStr;
 
 /// Speed of light in vacuum, m/s (exact, SI).
+#[doc(hidden)] // for the crates of this workspace
 pub const SPEED_OF_LIGHT_M_PER_S: f64 = 299_792_458.0;
 /// Spacing of subcarriers, Hz (802.11-2016 table 19-6).
+#[doc(hidden)] // for the crates of this workspace
 pub const SUBCARRIER_SPACING_HZ: f64 = 312_500.0;
-/// Number of subcarriers that the card reports (one in two at 20 MHz, one in four at 40 MHz).
-pub const SUBCARRIERS: usize = 30;
 
 /// Subcarrier indices reported at 20 MHz (802.11-2016 table 9-54, Ng = 2); neither uniform nor symmetric.
 #[rustfmt::skip]
@@ -98,7 +99,7 @@ impl Channel {
     ///
     /// # Errors
     /// [`ChannelError`] outside 2,400 to 2,500 and 5,000 to 7,125 MHz.
-    pub fn of_centre_mhz(mhz: u32) -> Result<Self, ChannelError> {
+    fn of_centre_mhz(mhz: u32) -> Result<Self, ChannelError> {
         let base_mhz = match mhz {
             2_400..=2_500 => 2_407,
             5_000..=5_925 => 5_000,

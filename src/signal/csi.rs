@@ -114,21 +114,6 @@ impl Csi {
         (0..self.n_rx).find(|&rx| self.antenna(rx) == Some(antenna))
     }
 
-    /// Sum of squared magnitudes of all entries.
-    #[must_use]
-    pub fn power(&self) -> f64 {
-        self.as_slice().iter().map(|h| f64::from(h.norm_sqr())).sum()
-    }
-
-    /// The CSI in sqrt(SNR): [`scale_factor`] times the record's integers.
-    ///
-    /// # Errors
-    /// When the record has no RSSI or no CSI to scale.
-    pub fn scaled(&self, bfee: &Bfee<'_>) -> Result<Self, ScaleError> {
-        let factor = scale_factor(bfee)? as f32;
-        Ok(Self { h: self.h.map(|h| h * factor), ..*self })
-    }
-
     /// Takes out the matrix with which the transmitter spreads streams over its antennas, so that columns are transmit
     /// antennas: `H = C Q^H` for each subcarrier. One stream has none. Cyclic shifts stay in.
     ///
@@ -215,12 +200,7 @@ pub fn total_rss_dbm(bfee: &Bfee<'_>) -> Result<f64, ScaleError> {
 }
 
 /// Noise floor, dBm: the driver's, or -92 if it has none.
-#[must_use]
-pub fn noise_dbm(bfee: &Bfee<'_>) -> f64 {
-    f64::from(whole_noise_dbm(bfee))
-}
-
-fn whole_noise_dbm(bfee: &Bfee<'_>) -> i8 {
+fn noise_dbm(bfee: &Bfee<'_>) -> i8 {
     match bfee.noise_dbm() {
         NOISE_UNKNOWN_DBM => DEFAULT_NOISE_DBM,
         measured => measured,
@@ -260,7 +240,7 @@ fn scale_factor_by(bfee: &Bfee<'_>, squares: i32) -> Result<f64, ScaleError> {
     }
     let milliwatt_per_unit = milliwatt / (f64::from(squares) / SUBCARRIERS as f64);
     let rounding = milliwatt_per_unit * (bfee.n_rx() * bfee.n_tx()) as f64;
-    let noise = ratio(i32::from(whole_noise_dbm(bfee))) + rounding;
+    let noise = ratio(i32::from(noise_dbm(bfee))) + rounding;
     let streams = match bfee.n_tx() {
         2 => std::f64::consts::SQRT_2,
         3 => THREE_STREAMS,
@@ -339,8 +319,6 @@ mod tests {
         let factor = scale_factor(&bfee).unwrap();
         let by_hand = 1.0 / (6.309_573_445e-10_f64 / 1.336_499_29e-6 + 3.0).sqrt();
         assert!((factor - by_hand).abs() < 1e-9, "{factor} {by_hand}");
-        let scaled = Csi::from_bfee(&bfee).unwrap().scaled(&bfee).unwrap();
-        assert!((scaled.get(7, 1, 0).unwrap() - Complex32::new(3.0, 4.0) * by_hand as f32).norm() < 1e-6);
         // A measured noise floor 40 dB higher counts instead of the default.
         let noisy = emitted(Repr { noise_dbm: -52, ..repr }, &[Iq { i: 3, q: 4 }; 90]);
         let factor = scale_factor(&Bfee::new_checked(&noisy).unwrap()).unwrap();
@@ -367,7 +345,7 @@ mod tests {
         let silent = emitted(Repr { rssi: [0; 3], ..Repr::default() }, &[Iq { i: 1, q: 1 }; 90]);
         let bfee = Bfee::new_checked(&silent).unwrap();
         assert_eq!(total_rss_dbm(&bfee), Err(ScaleError::NoRssi { agc: 40 }));
-        assert_eq!(Csi::raw(&bfee).scaled(&bfee), Err(ScaleError::NoRssi { agc: 40 }));
+        assert_eq!(scale_factor(&bfee), Err(ScaleError::NoRssi { agc: 40 }));
         assert!(ScaleError::NoRssi { agc: 40 }.to_string().contains("40 dB"));
     }
 
@@ -447,8 +425,9 @@ mod tests {
             assert!((total_rss_dbm(bfee).unwrap() - rss).abs() < 1e-6);
             assert!((scale_factor(bfee).unwrap() - factor).abs() < 1e-9);
         };
-        let scaled =
-            |bfee: &Bfee<'_>, s, rx| Csi::from_bfee(bfee).unwrap().scaled(bfee).unwrap().get(s, rx, 0).unwrap();
+        let scaled = |bfee: &Bfee<'_>, s, rx| {
+            Csi::from_bfee(bfee).unwrap().get(s, rx, 0).unwrap() * scale_factor(bfee).unwrap() as f32
+        };
         if let Some(log) = capture("log.all_csi.6.7.6.dat") {
             with_record(&log, 0, |bfee| {
                 numbers(bfee, -39.078_240, 0.576_555_488);

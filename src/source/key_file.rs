@@ -12,13 +12,14 @@
 //! A file that others than its owner and group can read or write is refused, and a secret that cannot be random too: few
 //! different bytes, steps of one size, printable text.
 
+use super::Error;
 use crate::exchange::tdma::Key;
 use driver_iface::Mac;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::fs::OpenOptions;
-use std::io::{self, Read, Write as _};
-use std::path::{Path, PathBuf};
+use std::io::{Read, Write as _};
+use std::path::Path;
 use zeroize::Zeroizing;
 
 /// First line of a robot's file.
@@ -29,53 +30,30 @@ const LONGEST: u64 = 1 << 16;
 /// control list, as systemd sets one on credentials, shows as that.)
 const REFUSED_MODE: u32 = 0o027;
 
-/// Why a file gives no key, or is not written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum KeyFileError {
-    /// It cannot be read or written.
-    #[error("the key {}: {source}", .path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// It is no file but a device, a pipe, a folder.
-    #[error("the key {} is no regular file", .path.display())]
-    NoFile {
-        /// The path.
-        path: PathBuf,
-    },
-    /// Others may read or change it, it holds something else, or it was not made at random.
-    #[error("{0}")]
-    Refused(String),
-}
-
 /// Reads a key of either kind.
 ///
 /// # Errors
-/// [`KeyFileError`]: nothing is taken that is not certain to be a key.
-pub fn read_key(path: &Path) -> Result<Key, KeyFileError> {
+/// [`Error::Io`], [`Error::NotAFile`], [`Error::Key`]: nothing is taken that is not certain to be a key.
+pub fn read_key(path: &Path) -> Result<Key, Error> {
     let name = path.display();
-    let failed = |source| KeyFileError::Io { path: path.to_owned(), source };
+    let failed = |source| Error::Io { what: format!("the key {name}"), source };
     // Opening a pipe would wait.
     if !std::fs::metadata(path).map_err(failed)?.is_file() {
-        return Err(KeyFileError::NoFile { path: path.to_owned() });
+        return Err(Error::NotAFile { path: path.to_owned() });
     }
     let file = std::fs::File::open(path).map_err(failed)?;
     // Of what was opened: another file may be there by now.
     let metadata = file.metadata().map_err(failed)?;
     if !metadata.is_file() {
-        return Err(KeyFileError::NoFile { path: path.to_owned() });
+        return Err(Error::NotAFile { path: path.to_owned() });
     }
     if let Some(mode) = refused_mode(&metadata) {
         let why = format!("the key {name} has mode {mode:04o}, so others can read or change it: chmod 600 {name}");
-        return Err(KeyFileError::Refused(why));
+        return Err(Error::Key(why));
     }
     let mut bytes = Zeroizing::new(Vec::with_capacity(LONGEST as usize));
     file.take(LONGEST).read_to_end(&mut bytes).map_err(failed)?;
-    let refused = |what: &str| KeyFileError::Refused(format!("{name}: {what} `csi5300 key new`"));
+    let refused = |what: &str| Error::Key(format!("{name}: {what} `csi5300 key new`"));
     let weak = || refused("this key can be guessed (text, repetitions or a sequence): make one with");
     if let Some(robot) = RobotKeys::parse(&bytes) {
         return robot.key().ok_or_else(weak);
@@ -101,8 +79,8 @@ fn refused_mode(_: &std::fs::Metadata) -> Option<u32> {
 ///
 /// # Errors
 /// If it is there, or cannot be written.
-pub fn create_key_file(path: &Path, text: &str) -> Result<(), KeyFileError> {
-    let failed = |source| KeyFileError::Io { path: path.to_owned(), source };
+pub fn create_key_file(path: &Path, text: &str) -> Result<(), Error> {
+    let failed = |source| Error::Io { what: format!("the key {}", path.display()), source };
     let mut options = OpenOptions::new();
     options.write(true).create_new(true);
     #[cfg(unix)]
@@ -204,6 +182,7 @@ mod tests {
     use super::*;
     use rand::{RngCore, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+    use std::path::PathBuf;
 
     struct Folder(PathBuf);
 
@@ -261,8 +240,8 @@ mod tests {
             let error = read_key(&folder.file("weak", weak.as_bytes(), 0o600)).unwrap_err();
             assert!(error.to_string().contains("can be guessed"), "{weak}: {error}");
         }
-        assert!(matches!(read_key(Path::new("/dev/zero")).unwrap_err(), KeyFileError::NoFile { .. }));
-        assert!(matches!(read_key(&folder.0.join("none")).unwrap_err(), KeyFileError::Io { .. }));
+        assert!(matches!(read_key(Path::new("/dev/zero")).unwrap_err(), Error::NotAFile { .. }));
+        assert!(matches!(read_key(&folder.0.join("none")).unwrap_err(), Error::Io { .. }));
     }
 
     #[test]
@@ -286,7 +265,7 @@ mod tests {
         create_key_file(&path, &group_text(&secret)).unwrap();
         assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
         assert_eq!(read_key(&path).unwrap(), Key::from_secret(&secret));
-        assert!(matches!(create_key_file(&path, "other").unwrap_err(), KeyFileError::Io { .. }));
+        assert!(matches!(create_key_file(&path, "other").unwrap_err(), Error::Io { .. }));
         assert_eq!(read_key(&path).unwrap(), Key::from_secret(&secret));
     }
 

@@ -2,6 +2,7 @@
 //! robot are values of one type, [`CsiSource`]. Who only wants to read a log takes [`Log`](crate::Log).
 
 pub(crate) mod key_file;
+pub(crate) mod log;
 pub mod replay;
 mod side_file;
 pub mod survey;
@@ -15,7 +16,7 @@ pub mod recorder;
 #[doc(hidden)]
 pub mod remote;
 
-pub use key_file::{KeyFileError, read_key};
+pub use key_file::read_key;
 pub use side_file::{Checks, side_path};
 
 use crate::motion::pose::TrajectoryError;
@@ -196,6 +197,15 @@ pub enum Error {
         /// The pipe.
         path: PathBuf,
     },
+    /// A key's path is a device, a pipe or a folder.
+    #[error("the key {} is no regular file", .path.display())]
+    NotAFile {
+        /// The path.
+        path: PathBuf,
+    },
+    /// Others may read or change a key's file, it holds something else, or it was not made at random.
+    #[error("{0}")]
+    Key(String),
     /// Another recorder writes this log.
     #[error("{} is being recorded by another program", .path.display())]
     InUse {

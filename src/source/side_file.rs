@@ -23,6 +23,7 @@ const FIRST: usize = 1_024;
 const UNKNOWN: u64 = 64 << 20;
 
 /// The path of a log's side file: the log's with `stp` behind it, so `a.datstp` of `a.dat`.
+#[doc(hidden)] // for the crates of this workspace
 #[must_use]
 pub fn side_path(log: &Path) -> PathBuf {
     let mut name = log.as_os_str().to_owned();
@@ -31,6 +32,7 @@ pub fn side_path(log: &Path) -> PathBuf {
 }
 
 /// What a side file with checksums ([`Layout::Checked`]) says of the records of its log.
+#[doc(hidden)] // for the crates of this workspace
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[non_exhaustive]
 pub struct Checks {

@@ -165,6 +165,7 @@ fn sent(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
 impl Survey {
     /// A survey with reserved places for these senders.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn with_known(known: impl IntoIterator<Item = Mac>) -> Self {
         Self { known: known.into_iter().collect(), ..Self::default() }
     }
@@ -753,6 +754,7 @@ const UNCONNECTED_DB: f64 = 14.0;
 impl Survey {
     /// Where `antenna` hears so much less than another that nothing seems to be connected to its port: the antenna that
     /// hears most, and by how much its mean RSSI is higher, dB.
+    #[doc(hidden)] // for the crates of this workspace
     #[must_use]
     pub fn better_antenna(&self, antenna: Antenna) -> Option<(Antenna, f64)> {
         let mean = |antenna: Antenna| self.rssi.get(antenna.index())?.map(|rssi| rssi.mean);
@@ -783,20 +785,27 @@ fn count<K: Copy + PartialEq>(run: &mut (K, u64), key: K) -> Option<(K, u64)> {
     (before.1 > 0).then_some(before)
 }
 
+/// Adds a run to the counts by key, if it is not empty.
+fn add<K: Ord>(counts: &mut BTreeMap<K, u64>, (key, records): (K, u64)) {
+    if records > 0 {
+        *counts.entry(key).or_default() += records;
+    }
+}
+
 impl Survey {
     /// Counts a record's code.
     #[inline(always)]
     fn tally_code(&mut self, tally: &mut Tally, code: u8) {
-        if let Some((code, records)) = count(&mut tally.code, code) {
-            *self.by_code.entry(code).or_default() += records;
+        if let Some(run) = count(&mut tally.code, code) {
+            add(&mut self.by_code, run);
         }
     }
 
     /// Counts a bfee record's antennas and rate.
     #[inline(always)]
     fn tally_bfee(&mut self, tally: &mut Tally, antenna_sel: u8, rate: u16) {
-        if let Some((antenna_sel, records)) = count(&mut tally.antenna_sel, antenna_sel) {
-            *self.antenna_sel.entry(antenna_sel).or_default() += records;
+        if let Some(run) = count(&mut tally.antenna_sel, antenna_sel) {
+            add(&mut self.antenna_sel, run);
         }
         if let Some((rate, records)) = count(&mut tally.rate, rate) {
             self.count_rate(rate, records);
@@ -807,12 +816,8 @@ impl Survey {
     #[doc(hidden)]
     pub fn settle(&mut self, tally: &mut Tally) {
         let Tally { code, antenna_sel, rate } = std::mem::take(tally);
-        if code.1 > 0 {
-            *self.by_code.entry(code.0).or_default() += code.1;
-        }
-        if antenna_sel.1 > 0 {
-            *self.antenna_sel.entry(antenna_sel.0).or_default() += antenna_sel.1;
-        }
+        add(&mut self.by_code, code);
+        add(&mut self.antenna_sel, antenna_sel);
         if rate.1 > 0 {
             self.count_rate(rate.0, rate.1);
         }

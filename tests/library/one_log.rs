@@ -390,7 +390,7 @@ fn the_real_log_of_two_antennas_has_the_toolboxs_answer() {
     let Some(folder) = cases("two-antennas") else { return };
     let log = folder.join("csi_rx_2022-08-31_103703.dat");
     let odometry = folder.join("odom_rx_trajectory_2022-08-31_103703.csv");
-    let (trajectory, _) = csv::read(&odometry).unwrap();
+    let (trajectory, _) = csv::read(&odometry, None).unwrap();
     let array = pair(Vector3::new(0.28, 0.0, 0.0));
     let mut replay = Replay::open(&log).unwrap();
     let report = one_log(&mut replay, &trajectory, &array, &options()).unwrap();

@@ -29,7 +29,7 @@ fn log(records: &[Vec<u8>]) -> Replay<Cursor<Vec<u8>>> {
 }
 
 fn trajectory(link: &Link) -> Trajectory {
-    csv::parse(link.trajectory.as_bytes()).unwrap().0
+    csv::parse(link.trajectory.as_bytes(), None).unwrap().0
 }
 
 fn run(rx: &[Vec<u8>], tx: &[Vec<u8>], trajectory: &Trajectory, options: &Options) -> CaptureReport {
@@ -69,7 +69,7 @@ fn fixture(change: impl Fn(&Pose) -> Pose, options: &Options) -> CaptureReport {
     let file = |name: &str| root().join("tests/fixtures/small-circle").join(name);
     let mut rx = Replay::open(&file("csi_rx_2023-11-14_221320.dat")).unwrap();
     let mut tx = Replay::open(&file("csi_tx1_2023-11-14_221320.dat")).unwrap();
-    let (read, _) = csv::read(&file("rx_trajectory_2023-11-14_221320_.csv")).unwrap();
+    let (read, _) = csv::read(&file("rx_trajectory_2023-11-14_221320_.csv"), None).unwrap();
     let path = Trajectory::new(read.poses().iter().map(change).collect()).unwrap();
     bearings(&mut rx, vec![Transmitter { log: &mut tx, trajectory: None }], &path, options).unwrap()
 }

@@ -258,7 +258,7 @@ fn a_robot_that_leaves_during_its_turn_is_missed_for_a_silence_at_most_once() {
         air.run_us(1_000);
     }
     air.run_us(60_000);
-    air.stations[1].tdma.leave();
+    air.crash(1);
     air.run_s(20);
     // Robots 0 and 2 go on between themselves: 100 rounds/s each while it has the turn.
     assert_eq!((air.collisions, air.initiators()), (0, 1));
@@ -404,7 +404,8 @@ fn row(n: usize, loss_percent: u32, jitter_us: u64) -> String {
     let request = Request::new(links, 1e6 / (shortest_us * 1.1 * f64::from(links)));
     let mut air = Air::new(&everybody(n, request), 1_000 * n as u64 + 10 * u64::from(loss_percent) + jitter_us);
     (air.loss, air.jitter_us) = (f64::from(loss_percent) / 100.0, jitter_us);
-    let cycle_us = air.stations[0].tdma.plan().cycle_us(n as u32) as i64;
+    let plan = air.stations[0].tdma.plan();
+    let cycle_us = plan.span_of(n as u32 * plan.turn_slots).as_us();
     air.run_us(cycle_us * (120 / n as i64).max(10));
     let total = |count: fn(&csi5300::exchange::tdma::TdmaCounts) -> u64| -> u64 {
         air.stations.iter().map(|station| count(station.tdma.counts())).sum()

@@ -10,13 +10,13 @@ use crate::table::{Columns, Decoder, Filter, Form, LogReader, NO_TIME, Order, Re
 use card::CardLog;
 use csi_formats::Format;
 use csi5300::internal::PAUSE_US;
-use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIERS};
+use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ};
 use csi5300::source::survey::{NumberStep, Numbering, Sender, Survey, TimeBase};
 use csi5300::source::{Error, replay::Replay};
 use csi5300::time::{Instant, Step16};
 use csi5300_say::count;
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, rate::HT40};
+use driver_iface::bfee::{Antenna, SUBCARRIERS, rate::HT40};
 use num_complex::Complex32;
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -206,6 +206,7 @@ enum Turn {
     Next,
 }
 
+#[derive(Default)]
 struct Known {
     key: u64,
     card: Card,
@@ -319,13 +320,7 @@ fn place(cards: &mut Vec<Known>, counters: &mut StockCounts, key: u64) -> usize 
         cards.remove(0);
     }
     counters.cards_seen += 1;
-    cards.push(Known {
-        key,
-        card: Card::default(),
-        host_times: HostTimes::default(),
-        has_csi: false,
-        is_others: false,
-    });
+    cards.push(Known { key, ..Known::default() });
     cards.len() - 1
 }
 

@@ -2,7 +2,7 @@
 //! with a real clock, tests with a virtual one.
 
 use super::sources::{Card, PeerSources, Poses, Sources};
-use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
+use csi5300::motion::odometry::{NextPose, SourceCounts};
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::live::{LiveEstimator, PeerReport, PeerState};
 use csi5300::pipeline::{LinkError, Options};
@@ -337,7 +337,7 @@ fn say_silence(report: &mut PeerReport, pairs: u64) {
 mod tests {
     use super::*;
     use crate::sources::Trajectories;
-    use csi5300::motion::odometry::{FollowedCounts, Replayed};
+    use csi5300::motion::odometry::{FollowedCounts, OdometrySource, Replayed};
     use csi5300::motion::pose::Trajectory;
     use csi5300::pipeline::live::{LivePeer, LiveSettings, Track};
     use csi5300::signal::channel::Channel;

@@ -94,7 +94,7 @@ impl Trajectories {
     /// A trajectory at its own pace from `origin_s` on, or from its first pose.
     fn open(&mut self, file: &config::Csv, origin_s: Option<f64>) -> Result<Poses, Error> {
         let name = file.file.display();
-        let (trajectory, counts) = csv::read(&file.file).map_err(|error| match error {
+        let (trajectory, counts) = csv::read(&file.file, None).map_err(|error| match error {
             CsvError::Io { .. } => Error::Backend(Box::new(error)),
             error => refused(format!("{name}: {error}")),
         })?;

@@ -430,11 +430,11 @@ mod tests {
         }
         assert!(shares.len() > 50 && shares.windows(2).all(|w| w[0] < w[1]));
 
-        let (truth, counts) = csv::read(&folder.0.join(format!("rx_trajectory_{ts}_.csv"))).unwrap();
+        let (truth, counts) = csv::read(&folder.0.join(format!("rx_trajectory_{ts}_.csv")), None).unwrap();
         assert_eq!((counts.columns, counts.rows, counts.bad_rows), (5, 601, 0));
         let pose = truth.at(1_624_839_950.0 + 1.5).unwrap();
         assert!((pose.position_m - room.pose(0, 1.5).unwrap().position_m).norm() < 1e-5);
-        let (odometry, counts) = csv::read(&folder.0.join(format!("odom_rx_trajectory_{ts}_.csv"))).unwrap();
+        let (odometry, counts) = csv::read(&folder.0.join(format!("odom_rx_trajectory_{ts}_.csv")), None).unwrap();
         assert_eq!((counts.columns, counts.rows), (15, 301));
         let (at, yaw) = (odometry.at(1_624_839_951.5).unwrap(), room.pose(0, 1.5).unwrap().yaw_rad);
         assert!((csi5300::maths::wrap_rad(at.heading_rad.unwrap() - yaw)).abs() < 1e-5);

@@ -5,6 +5,7 @@
 //! effect a moment after it arrives, and without poses the robot waits.
 
 use super::maths::{heading, rad, turned};
+use super::port::lock;
 use super::random::Stream;
 use csi5300::motion::odometry::{FollowedCounts, NextPose, OdometrySource, SourceCounts, csv};
 use csi5300::motion::pose::{self, Trajectory};
@@ -14,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 /// Place and heading of a robot, in the scene's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -401,7 +402,7 @@ impl Recorded {
     /// Rows that cannot be read are an error here, since a scene must be exact.
     pub(crate) fn load(file: &Path) -> Result<Self, String> {
         let name = file.display();
-        let (trajectory, counts) = csv::read(file).map_err(|source| format!("trajectory {name}: {source}"))?;
+        let (trajectory, counts) = csv::read(file, None).map_err(|source| format!("trajectory {name}: {source}"))?;
         if let Some((line, reason)) = counts.first_bad {
             return Err(format!("trajectory {name}, line {line}: {reason}"));
         }
@@ -587,11 +588,6 @@ impl Way {
 /// A path that a source extends and the room reads.
 pub(crate) type SharedWay = std::sync::Arc<Mutex<Way>>;
 
-/// Locks a path; it is consistent between poses, so a poisoned lock is usable.
-pub(crate) fn lock(way: &Mutex<Way>) -> MutexGuard<'_, Way> {
-    way.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// A source that a robot follows.
 pub(crate) struct Follower {
     /// The robot.
@@ -657,12 +653,12 @@ mod tests {
 
     #[test]
     fn trajectories_without_headings_face_where_they_go() {
-        let (five, _) = csv::parse("10.0,0,0,0,1,\n11.0,0,0,2,1,\n12.0,0,0,4,1,\n".as_bytes()).unwrap();
+        let (five, _) = csv::parse("10.0,0,0,0,1,\n11.0,0,0,2,1,\n12.0,0,0,4,1,\n".as_bytes(), None).unwrap();
         let five = Recorded::from_trajectory(&five);
         assert_eq!(five.duration_s(), 2.0);
         assert_eq!(five.at(0.5).position_m, Vector3::new(0.0, 1.0, 1.0));
         assert!((five.at(0.5).yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
-        let (six, _) = csv::parse("10.0,0,1,2,3,0.5,\n11.0,0,1,2,3,0.5,\n".as_bytes()).unwrap();
+        let (six, _) = csv::parse("10.0,0,1,2,3,0.5,\n11.0,0,1,2,3,0.5,\n".as_bytes(), None).unwrap();
         let six = Recorded::from_trajectory(&six);
         assert_eq!(six.at(99.0), Pose { position_m: Vector3::new(1.0, 2.0, 3.0), yaw_rad: 0.5 });
         assert!(Recorded::load(Path::new("no such file.csv")).unwrap_err().contains("no such file.csv"));

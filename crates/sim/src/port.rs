@@ -76,9 +76,9 @@ enum Read {
     None(Next<'static>),
 }
 
-/// Locks the air. It is consistent between events, so a poisoned lock is usable.
-pub(super) fn lock(air: &Mutex<Air>) -> MutexGuard<'_, Air> {
-    air.lock().unwrap_or_else(PoisonError::into_inner)
+/// Locks the air, or a path. Both are consistent between events, so a poisoned lock is usable.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Port {

@@ -4,14 +4,16 @@
 //! has its effect on each of 30 tones, or of any subcarriers.
 
 use super::maths::{amplitude, heading, phasor};
-use super::motion::{Pose, Recorded, RobotMotion, SharedWay, Track, lock};
+use super::motion::{Pose, Recorded, RobotMotion, SharedWay, Track};
+use super::port::lock;
 use super::random::{Purpose, Stream};
 use super::refusal::{Problem, SceneError};
 use super::scene::{Cfo, Pattern, Robot, Scene};
 use csi5300::signal::channel::{
-    Channel, INDICES_20_MHZ, INDICES_40_MHZ, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, SUBCARRIERS, Width,
+    Channel, INDICES_20_MHZ, INDICES_40_MHZ, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, Width,
 };
 use driver_iface::Mac;
+use driver_iface::bfee::SUBCARRIERS;
 use nalgebra::Vector3;
 use num_complex::Complex64;
 

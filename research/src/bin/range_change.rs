@@ -57,7 +57,7 @@ impl Odometry {
     }
 
     fn path(self, capture: &Capture) -> Fallible<Trajectory> {
-        let recorded = csv::read(&self.file(capture))?.0;
+        let recorded = csv::read(&self.file(capture), None)?.0;
         Ok(match self {
             Self::Recorded(TrajectorySource::Odometry) if !is_simulated(capture) => {
                 recorded.with_antenna_offset(ANTENNA_M.into())?

@@ -199,6 +199,7 @@ impl Tdma {
     }
 
     /// From now on this robot wants the turn, or no longer does. A current turn continues to its announced end.
+    #[doc(hidden)] // for the tests of this workspace
     pub fn set_initiate(&mut self, initiate: bool) {
         self.initiate = initiate;
     }
@@ -245,12 +246,6 @@ impl Tdma {
         }
     }
 
-    /// This robot leaves for good: it sends nothing from now on. The others continue, after a silence at the latest.
-    pub fn leave(&mut self) {
-        (self.initiate, self.respond) = (false, false);
-        (self.turn, self.reply, self.passed) = (None, None, None);
-    }
-
     /// The plan.
     #[must_use]
     pub fn plan(&self) -> &Plan {
@@ -258,12 +253,14 @@ impl Tdma {
     }
 
     /// True if this robot has the turn.
+    #[doc(hidden)] // for the tests of this workspace
     #[must_use]
     pub fn has_turn(&self) -> bool {
         self.turn.is_some()
     }
 
     /// The robot that has the turn, or had it last, if known here.
+    #[doc(hidden)] // for the tests of this workspace
     #[must_use]
     pub fn initiator(&self) -> Option<Mac> {
         let rank = self.view.current?.holder;
@@ -271,6 +268,7 @@ impl Tdma {
     }
 
     /// True if slots are where an initiator's are: the epoch is common, was heard, or this robot set it.
+    #[doc(hidden)] // for the tests of this workspace
     #[must_use]
     pub fn is_synchronised(&self) -> bool {
         self.clock.locked
@@ -536,7 +534,7 @@ impl Tdma {
         let alive_since = self.now - Span::from_us(i64::from(self.plan.round_us) * ALIVE_ROUNDS);
         // WSR frames cannot name a successor or a turn: all turns are turn 0.
         let (number, next) = if by_length { (0, None) } else { (number, self.roster.next_initiator(alive_since)) };
-        let end = slot + i64::from(self.plan.turn_slots());
+        let end = slot + i64::from(self.plan.turn_slots);
         self.turn = Some(Turn { number, slot, end, next, idle_slots: 0 });
         self.passed = None;
         self.counts.turns += 1;
@@ -758,7 +756,7 @@ impl Tdma {
 
     /// Follows the initiator of a frame in turn and epoch. A frame outside of its slot is ignored.
     fn follow(&mut self, repr: &native::Repr, peer: usize, began: Instant) -> Fit {
-        if !self.is_same_plan(repr) || u32::from(repr.left) >= self.plan.turn_slots() {
+        if !self.is_same_plan(repr) || u32::from(repr.left) >= self.plan.turn_slots {
             self.counts.other_plan += 1;
             return Fit::Unknown;
         }
@@ -1486,22 +1484,6 @@ mod tests {
     }
 
     #[test]
-    fn a_leaving_robot_sends_nothing_and_waits_for_nothing() {
-        let [mut first, mut second] = two(None);
-        let (now, _, frame) = next_forward(&mut first);
-        assert!(first.has_turn());
-        first.leave();
-        assert!(!first.has_turn());
-        assert_eq!(first.transmit_at(), None);
-        // Neither does one that was about to answer.
-        second.handle_heard(now, now, &frame);
-        second.leave();
-        assert_eq!((second.poll_timeout(), second.poll_transmit(now)), (None, None));
-        second.handle_heard(now, now, &frame);
-        assert_eq!(second.poll_transmit(now), None);
-    }
-
-    #[test]
     fn a_robot_without_links_never_takes_the_turn() {
         let mut config = Config { initiate: true, ..Config::new(mac(0), 0, &[mac(1)], Request::new(1, 100.0), 1) };
         assert!(Tdma::new(&config).unwrap().poll_timeout().is_some());
@@ -1693,7 +1675,7 @@ mod tests {
     #[test]
     fn frames_of_another_plan_are_counted_each_time_and_followed_in_nothing() {
         let plan = listener(None).plan;
-        let whole = u16::try_from(plan.turn_slots()).unwrap();
+        let whole = u16::try_from(plan.turn_slots).unwrap();
         let good = |number| native::Repr { left: whole - 1, ..forward(number) };
         for repr in [
             |number, _| native::Repr { round_us: 10_001, ..forward(number) },

@@ -17,7 +17,7 @@
 //!
 //! // Twelve peers at 100 rounds per second fit, 32 do not; the error says what would.
 //! let plan = Plan::new(&Request::new(12, 100.0))?;
-//! assert!(plan.slot_us() > f64::from(plan.shortest_slot_us()));
+//! assert!(plan.slot_us > f64::from(plan.shortest_slot_us));
 //! assert!(matches!(Plan::new(&Request::new(32, 100.0)), Err(PlanError::Rate { highest_hz, .. }) if highest_hz > 40.0));
 //!
 //! // Two robots on one air, without loss. The first initiates, the second answers.
@@ -274,7 +274,7 @@ impl Config {
 
     /// The MACs this robot sounds.
     fn link_macs(&self) -> Vec<Mac> {
-        self.links.clone().unwrap_or_else(|| self.peers.iter().map(|peer| peer.mac).collect())
+        self.links.clone().unwrap_or_else(|| self.peer_macs())
     }
 
     /// MACs of all other robots.
@@ -441,11 +441,18 @@ pub struct Plan {
     pub slots: u16,
     /// Modulation.
     pub phy: Phy,
+    /// Rounds per second.
+    pub rate_hz: f64,
+    /// Mean length of a slot, microseconds.
+    pub slot_us: f64,
+    /// The shortest slot that holds an exchange, microseconds: guard, forward frame, turn-around, backward frame, guard.
+    pub shortest_slot_us: u32,
+    /// Slots of one turn: whole rounds, at least as many as requested.
+    pub turn_slots: u32,
     /// Length of a round, microseconds.
     round_us: u32,
     /// Airtime of the longest forward frame, microseconds.
     forward_us: u32,
-    backward_us: u32,
     request: Request,
 }
 
@@ -456,7 +463,7 @@ impl Plan {
     /// [`PlanError::Rate`] with the highest feasible rate if the rounds do not fit; others for a request that makes
     /// no sense.
     pub fn new(request: &Request) -> Result<Self, PlanError> {
-        let Request { links, rate_hz, phy, dialect, turn_slots, .. } = *request;
+        let Request { links, rate_hz, phy, dialect, turn_slots, turn_around_us, guard_us, .. } = *request;
         if links == 0 || usize::from(links) >= MAX_ROBOTS {
             return Err(PlanError::Links(usize::from(links)));
         }
@@ -477,51 +484,29 @@ impl Plan {
         let (forward_len, backward_len) = dialect.longest(usize::from(links));
         let (forward_us, backward_us) = (phy.airtime_us(forward_len), phy.airtime_us(backward_len));
         let round_us = (1e6 / rate_hz).round() as u32;
-        let plan = Self { slots: links, phy, round_us, forward_us, backward_us, request: *request };
-        let slot_us = plan.shortest_slot_us();
+        let guards_us = guard_us.saturating_mul(2);
+        let slot_us = [turn_around_us, backward_us, guards_us].into_iter().fold(forward_us, u32::saturating_add);
         if u64::from(round_us) < u64::from(slot_us) * u64::from(links) {
             let highest_hz = 1e6 / (f64::from(slot_us) * f64::from(links));
             return Err(PlanError::Rate { asked_hz: rate_hz, links, slot_us, highest_hz });
         }
-        Ok(plan)
-    }
-
-    /// The shortest slot that holds an exchange: guard, forward frame, turn-around, backward frame, guard.
-    #[must_use]
-    pub fn shortest_slot_us(&self) -> u32 {
-        let [forward, turn_around, backward, guard] =
-            [self.forward_us, self.request.turn_around_us, self.backward_us, self.request.guard_us];
-        forward.saturating_add(turn_around).saturating_add(backward).saturating_add(guard.saturating_mul(2))
-    }
-
-    /// Rounds per second.
-    #[must_use]
-    pub fn rate_hz(&self) -> f64 {
-        1e6 / f64::from(self.round_us)
-    }
-
-    /// Mean length of a slot, microseconds.
-    #[must_use]
-    pub fn slot_us(&self) -> f64 {
-        f64::from(self.round_us) / f64::from(self.slots)
+        Ok(Self {
+            slots: links,
+            phy,
+            rate_hz: 1e6 / f64::from(round_us),
+            slot_us: f64::from(round_us) / f64::from(links),
+            shortest_slot_us: slot_us,
+            turn_slots: u32::from(turn_slots).next_multiple_of(links.into()),
+            round_us,
+            forward_us,
+            request: *request,
+        })
     }
 
     /// `slots` slots as a span, rounded down to the microsecond.
     #[must_use]
     pub fn span_of(&self, slots: u32) -> Span {
         Span::from_us(i64::from(self.round_us) * i64::from(slots) / i64::from(self.slots))
-    }
-
-    /// Slots of one turn: whole rounds, at least as many as requested.
-    #[must_use]
-    fn turn_slots(&self) -> u32 {
-        u32::from(self.request.turn_slots).next_multiple_of(u32::from(self.slots))
-    }
-
-    /// Time in which each of `initiators` robots has the turn once, microseconds, if no turn is lost.
-    #[must_use]
-    pub fn cycle_us(&self, initiators: u32) -> u64 {
-        u64::from(initiators) * u64::from(self.turn_slots()) * u64::from(self.round_us) / u64::from(self.slots)
     }
 
     /// How late a forward frame may start.
@@ -624,6 +609,7 @@ pub enum Dialect {
 
 impl Dialect {
     /// Longest forward and backward frames on air, FCS included, if robots' indices go up to `last_index`.
+    #[doc(hidden)] // for the crates of this workspace
     #[must_use]
     pub fn longest(&self, last_index: usize) -> (usize, usize) {
         match *self {
@@ -712,8 +698,8 @@ mod tests {
         ] {
             let request = Request { dialect, ..Request::new(12, 100.0) };
             let plan = Plan::new(&request).unwrap();
-            assert_eq!((plan.round_us, plan.slots, plan.rate_hz()), (10_000, 12, 100.0));
-            assert!((plan.slot_us() - 833.333).abs() < 0.001);
+            assert_eq!((plan.round_us, plan.slots, plan.rate_hz), (10_000, 12, 100.0));
+            assert!((plan.slot_us - 833.333).abs() < 0.001);
             let (forward_len, _) = dialect.longest(12);
             assert_eq!(plan.forward_us, request.phy.airtime_us(forward_len));
             let Err(PlanError::Rate { highest_hz, slot_us, .. }) = Plan::new(&Request { links: 32, ..request }) else {
@@ -745,7 +731,7 @@ mod tests {
         fn slots_tile_time(links in 1u16..200, rate in 0.01f64..2.0, n in -1_000_000_000i64..1_000_000_000) {
             let plan = Plan::new(&Request::new(links, rate)).unwrap();
             let (start, end) = (plan.offset_of(n), plan.offset_of(n + 1));
-            prop_assert!((end - start).as_us() >= i64::from(plan.shortest_slot_us()));
+            prop_assert!((end - start).as_us() >= i64::from(plan.shortest_slot_us));
             prop_assert_eq!(plan.slot_at(start), n);
             prop_assert_eq!(plan.slot_at(end - Span::from_us(1)), n);
         }

@@ -31,7 +31,7 @@ impl Reached {
 }
 
 /// What is known about one peer.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Peer {
     pub(super) mac: Mac,
     pub(super) index: u16,
@@ -123,25 +123,14 @@ impl Roster {
             mac: robot.mac,
             index: robot.index,
             rank: if at >= own_rank { at + 1 } else { at },
-            heard_at: None,
-            wants_turn: false,
-            let_turn_lapse: false,
             proven: known(robot.mac),
             overheard: known(robot.mac),
-            unanswered_in_a_row: 0,
-            asked: Asked::default(),
-            measurement: None,
-            early: None,
-            measured: None,
-            contested: None,
+            ..Peer::default()
         });
-        let peers: Vec<Peer> = peers.collect();
-        let place = |mac: &Mac| peers.binary_search_by_key(mac, |peer| peer.mac).ok();
-        let macs = config.link_macs();
-        let links = macs.iter().filter_map(place);
+        let mut roster = Self { peers: peers.collect(), links: Vec::new(), own_rank };
         let link = |peer| Link { peer, rests: 0, counts: LinkCounts::default() };
-        let links = links.map(link).collect();
-        Self { peers, links, own_rank }
+        roster.links = config.link_macs().into_iter().filter_map(|mac| roster.find(mac)).map(link).collect();
+        roster
     }
 
     /// Robots of the exchange, this one included.

@@ -34,7 +34,7 @@ pub struct CsvCounts {
     /// Rows that could not be read.
     pub bad_rows: u64,
     /// Line, from 1, and reason of the first of them.
-    pub first_bad: Option<(u64, RowError)>,
+    pub first_bad: Option<(u64, String)>,
     /// Rows whose time is before that of the row before.
     pub out_of_order: u64,
     /// Number of columns (empty ones at the end not counted).
@@ -99,7 +99,11 @@ impl CsvCounts {
 /// How a reading is chosen, in words.
 const CHOOSE: &str = "name them in a line of headings, or by `--columns` (`columns=` in Python)";
 
-/// Why a file gave no trajectory.
+/// The names of columns, in words.
+const NAMED_AS: &str = "columns are named as t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw, yaw, with _ms, _us, _ns, _mm, _cm or _deg; \
+                        _ passes one over)";
+
+/// Why a file gave no trajectory, or text names no columns.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CsvError {
@@ -148,8 +152,7 @@ impl CsvError {
 
 /// What is wrong with one row.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum RowError {
+enum RowError {
     /// Its number of columns is of no known kind.
     #[error("not 5, 6, 8, 9 or 15 columns")]
     Columns,
@@ -176,13 +179,6 @@ pub enum RowError {
     /// It is not a row of a CSV file.
     #[error("not a row of a CSV file")]
     Unreadable,
-}
-
-/// In its words.
-impl serde::Serialize for RowError {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
 }
 
 /// Coordinates at most, metres: beyond, their last bit is more than 0.1 micrometres, and motions are differences of them.
@@ -364,17 +360,13 @@ pub struct Columns {
     kind: TrajectoryKind,
 }
 
-/// Why text names no columns.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{0}: columns are named as t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw, yaw, with _ms, _us, _ns, _mm, _cm or _deg; _ passes one over)"
-)]
-pub struct ColumnsError(String);
-
 impl FromStr for Columns {
-    type Err = ColumnsError;
+    type Err = CsvError;
 
-    fn from_str(text: &str) -> Result<Self, ColumnsError> {
+    /// # Errors
+    /// [`CsvError::Refused`] for text that names no columns.
+    fn from_str(text: &str) -> Result<Self, CsvError> {
+        let refused = |why| CsvError::Refused(format!("{why}: {NAMED_AS}"));
         let mut columns = Self::default();
         for (at, name) in text.split(',').map(str::trim).enumerate() {
             if matches!(name, "_" | "") {
@@ -383,15 +375,15 @@ impl FromStr for Columns {
             let bare = name.strip_prefix('-').unwrap_or(name);
             let (base, has_unit) = bare.split_once('_').map_or((bare, true), |(base, own)| (base, unit(own).is_some()));
             let known = (has_unit && NAMES.contains(&base)).then(|| column(at, bare)).flatten();
-            let column = known.ok_or_else(|| ColumnsError(format!("`{name}` is not known")))?;
+            let column = known.ok_or_else(|| refused(format!("`{name}` is not known")))?;
             let scale = column.scale.or((column.what != What::Time).then_some(1.0));
             let scale = scale.map(|scale| if bare == name { scale } else { -scale });
-            columns.put(Column { scale, rank: 1, ..column }).map_err(ColumnsError)?;
+            columns.put(Column { scale, rank: 1, ..column }).map_err(refused)?;
         }
         if !columns.has_quaternion() && columns.used.iter().any(|column| column.what.is_of_quaternion()) {
-            return Err(ColumnsError("a quaternion has qx, qy, qz and qw".into()));
+            return Err(refused("a quaternion has qx, qy, qz and qw".into()));
         }
-        columns.whole().map_err(ColumnsError)
+        columns.whole().map_err(refused)
     }
 }
 
@@ -898,7 +890,7 @@ impl Rows {
                     self.no_nanoseconds.1.get_or_insert(line);
                 }
                 self.counts.bad_rows += 1;
-                self.counts.first_bad.get_or_insert((line, why));
+                self.counts.first_bad.get_or_insert_with(|| (line, why.to_string()));
             }
         }
         Ok(())
@@ -977,8 +969,8 @@ impl Rows {
             self.counts.taken_for = columns.words();
         }
         if self.poses.is_empty() {
-            let first =
-                self.counts.first_bad.or_else(|| self.head.first().map(|(line, _)| (*line, RowError::Unreadable)));
+            let unreadable = || self.head.first().map(|(line, _)| (*line, RowError::Unreadable.to_string()));
+            let first = self.counts.first_bad.or_else(unreadable);
             let first = first.map_or_else(String::new, |(line, why)| format!("; line {line}: {why}"));
             return Err(CsvError::Refused(format!("no row of numbers{first}")));
         }
@@ -1047,19 +1039,11 @@ fn times_beside(path: &Path) -> Result<Option<Vec<f64>>, CsvError> {
     lines.map(time).collect::<Result<_, _>>().map(Some)
 }
 
-/// Reads a trajectory file row by row; only the poses stay in memory.
+/// Reads a trajectory file row by row; only the poses stay in memory. Where columns are named, its headings are ignored.
 ///
 /// # Errors
 /// If it cannot be read, is of no known kind or of two, longer than any trajectory, or holds fewer than two poses.
-pub fn read(path: &Path) -> Result<(Trajectory, CsvCounts), CsvError> {
-    read_as(path, None)
-}
-
-/// Reads a trajectory file with named columns, ignoring its headings.
-///
-/// # Errors
-/// As [`read`].
-pub fn read_as(path: &Path, columns: Option<&Columns>) -> Result<(Trajectory, CsvCounts), CsvError> {
+pub fn read(path: &Path, columns: Option<&Columns>) -> Result<(Trajectory, CsvCounts), CsvError> {
     let io = |source| CsvError::Io { path: path.display().to_string(), source };
     if path.is_dir() {
         return Err(io(std::io::Error::other("it is a directory; name the CSV file inside it")));
@@ -1082,7 +1066,7 @@ pub fn read_as(path: &Path, columns: Option<&Columns>) -> Result<(Trajectory, Cs
 /// As [`parse`].
 #[doc(hidden)]
 pub fn parse_topic(bytes: &[u8], topic: &str) -> Result<(Trajectory, CsvCounts), CsvError> {
-    parse(bytes).map(|read| of_name(read, Path::new(&topic.replace('/', "_"))))
+    parse(bytes, None).map(|read| of_name(read, Path::new(&topic.replace('/', "_"))))
 }
 
 /// With the sensor that the name shows, if it shows one.
@@ -1094,19 +1078,11 @@ fn of_name((trajectory, counts): (Trajectory, CsvCounts), name: &Path) -> (Traje
     (trajectory.with_kind(kind), counts)
 }
 
-/// Parses a trajectory from bytes.
+/// Parses a trajectory from bytes. Where columns are named, its headings are ignored.
 ///
 /// # Errors
 /// If it is of no known kind or of two, or holds fewer than two poses.
-pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
-    parse_as(bytes, None)
-}
-
-/// Parses a trajectory from bytes whose columns are named.
-///
-/// # Errors
-/// As [`parse`].
-pub fn parse_as(bytes: &[u8], columns: Option<&Columns>) -> Result<(Trajectory, CsvCounts), CsvError> {
+pub fn parse(bytes: &[u8], columns: Option<&Columns>) -> Result<(Trajectory, CsvCounts), CsvError> {
     let mut rows = Rows::named(columns);
     rows.read(bytes, usize::MAX, Path::new(""))?;
     rows.trajectory(None)
@@ -1117,10 +1093,11 @@ pub fn parse_as(bytes: &[u8], columns: Option<&Columns>) -> Result<(Trajectory, 
 /// # Errors
 /// What is wrong with it.
 #[doc(hidden)]
-pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
-    let text = std::str::from_utf8(line).map_err(|_| RowError::Unreadable)?;
+pub fn parse_line(line: &[u8]) -> Result<Pose, String> {
+    let text = std::str::from_utf8(line).map_err(|_| RowError::Unreadable.to_string())?;
     let cells = cells(text.trim());
-    headless(&cells).filter(|columns| !columns.matrix).ok_or(RowError::Columns)?.pose(&cells).map(|(pose, _)| pose)
+    let columns = headless(&cells).filter(|columns| !columns.matrix).ok_or(RowError::Columns);
+    columns.and_then(|columns| columns.pose(&cells)).map(|(pose, _)| pose).map_err(|why| why.to_string())
 }
 
 /// A pose as a row: 6 columns, 5 if it has no heading, and the trailing comma.
@@ -1191,33 +1168,33 @@ mod tests {
     #[test]
     fn columns_may_be_parted_otherwise_and_then_have_decimal_commas() {
         let rows = "10.5,0,1.25,-2e-3,3\n10.75,0,1.5,2,3\n";
-        let expected = parse(rows.as_bytes()).unwrap();
+        let expected = parse(rows.as_bytes(), None).unwrap();
         assert_eq!((expected.1.rows, expected.1.headings), (2, false));
         let decimal_commas = |by: &str| rows.replace(',', by).replace('.', ",");
         let spaces = format!("  {}", rows.replace(',', "   ").replace('\n', "  \n "));
         for text in [rows.replace(',', ";"), rows.replace(',', "\t"), spaces, decimal_commas(";"), decimal_commas("\t")]
         {
-            assert_eq!(parse(text.as_bytes()).unwrap(), expected, "{text}");
+            assert_eq!(parse(text.as_bytes(), None).unwrap(), expected, "{text}");
         }
         for headings in ["\u{feff}t;0;x;y;z\n", "# seconds\n\nZeit;ns;x;y;z\n", "\"t\";\"0\";\"x\";\"y\";\"z\"\r\n"] {
-            let (trajectory, counts) = parse(format!("{headings}{}", decimal_commas(";")).as_bytes()).unwrap();
+            let (trajectory, counts) = parse(format!("{headings}{}", decimal_commas(";")).as_bytes(), None).unwrap();
             assert_eq!((&trajectory, counts.headings, counts.bad_rows), (&expected.0, true, 0), "{headings}");
         }
         // A first row without numbers or names is no heading.
-        let (trajectory, counts) = parse(format!("nan,0,1,2,3\n{rows}").as_bytes()).unwrap();
+        let (trajectory, counts) = parse(format!("nan,0,1,2,3\n{rows}").as_bytes(), None).unwrap();
         assert!(counts.bad_rows == 1 && counts.lost_something(&trajectory), "{counts:?}");
     }
 
     /// They are as many as those of another kind.
     #[test]
     fn numbers_with_decimal_commas_parted_by_commas_are_no_row() {
-        assert_eq!(parse_line(b"10,5,0,1,25,0,002,3,5"), Err(RowError::Quaternion));
+        assert_eq!(parse_line(b"10,5,0,1,25,0,002,3,5"), Err(RowError::Quaternion.to_string()));
     }
 
     #[test]
     fn what_of_a_file_is_not_used_is_said() {
         let said = |text: &str| {
-            let (trajectory, counts) = parse(text.as_bytes()).unwrap();
+            let (trajectory, counts) = parse(text.as_bytes(), None).unwrap();
             (counts.notes(&trajectory).join("; "), counts.lost_something(&trajectory))
         };
         assert_eq!(said("1,0,0,0,0\n2,0,1,0,0\n"), (String::new(), false));
@@ -1245,7 +1222,8 @@ mod tests {
         let path = |x_m: &dyn Fn(u32) -> f64| (0..200).map(|k| row((k, x_m(k)))).collect::<String>();
         let drives = |k: u32| f64::from(k) * 0.02;
         let said = |text: &str| {
-            parse(text.as_bytes()).map(|(path, counts)| (counts.notes(&path).join("; "), counts.lost_something(&path)))
+            parse(text.as_bytes(), None)
+                .map(|(path, counts)| (counts.notes(&path).join("; "), counts.lost_something(&path)))
         };
         assert_eq!(said(&path(&drives)).unwrap(), (String::new(), false));
         let (words, lost) = said(&path(&|k| drives(k) + if k < 100 { 0.0 } else { 0.6 })).unwrap();
@@ -1259,16 +1237,16 @@ mod tests {
     fn a_stray_quote_costs_its_row_and_quoted_numbers_are_numbers() {
         let mut text = String::new();
         (0..100).for_each(|k| text += &format!("{k},0,\"{k}\",0,{}0,\n", if k == 10 { "\"1" } else { "" }));
-        let (trajectory, counts) = parse(text.as_bytes()).unwrap();
+        let (trajectory, counts) = parse(text.as_bytes(), None).unwrap();
         assert_eq!(
             (trajectory.poses().len(), counts.rows, counts.bad_rows),
             (100, 100, 0),
             "a quote at an end is none"
         );
         let text = text.replace("\"10\"", "1\"0");
-        let (trajectory, counts) = parse(text.as_bytes()).unwrap();
+        let (trajectory, counts) = parse(text.as_bytes(), None).unwrap();
         assert_eq!((trajectory.poses().len(), counts.bad_rows), (99, 1));
-        assert_eq!(counts.first_bad, Some((11, RowError::Number(3))));
+        assert_eq!(counts.first_bad, Some((11, RowError::Number(3).to_string())));
     }
 
     #[test]
@@ -1278,7 +1256,7 @@ mod tests {
                 let mut cells = ["1", "0", "0", "0", "0"].map(str::to_owned);
                 cells[column] = far.to_string();
                 let parsed = parse_line(cells.join(",").as_bytes());
-                let expected = expected.map_err(|()| RowError::TooFar(column + 1));
+                let expected = expected.map_err(|()| RowError::TooFar(column + 1).to_string());
                 assert_eq!(parsed.map(|_| ()), expected, "{far} in {column}");
             }
         }
@@ -1301,7 +1279,7 @@ mod tests {
         std::fs::write(&path, (0..ROWS).map(row).collect::<String>()).unwrap();
         let length = std::fs::metadata(&path).unwrap().len();
         let mut read = None;
-        let held = allocation_counter::measure(|| read = Some(super::read(&path))).bytes_max;
+        let held = allocation_counter::measure(|| read = Some(super::read(&path, None))).bytes_max;
         std::fs::remove_file(&path).unwrap();
         let poses = (ROWS * size_of::<Pose>()) as u64;
         assert_eq!(read.unwrap().unwrap().1.rows, ROWS as u64);
@@ -1333,12 +1311,12 @@ mod tests {
 
     #[test]
     fn wrong_files_say_what_is_wrong() {
-        let refused = |bytes: &[u8]| parse(bytes).unwrap_err().to_string();
+        let refused = |bytes: &[u8]| parse(bytes, None).unwrap_err().to_string();
         assert_eq!(refused(b""), "no row of numbers");
         assert!(refused(b"a,b,c\n").starts_with("no row of numbers; line 1: "));
         assert!(refused(b"1,2,3\n").starts_with("line 1: 3 columns without headings"));
         assert!(refused(&[0xBB, 0, 0xFF, b'\n', 7]).starts_with("no row of numbers; line "));
-        assert!(matches!(parse(b"1,0,0,0,0\n"), Err(CsvError::Trajectory(TrajectoryError::TooFew { poses: 1 }))));
+        assert!(matches!(parse(b"1,0,0,0,0\n", None), Err(CsvError::Trajectory(TrajectoryError::TooFew { poses: 1 }))));
     }
 
     /// Half a second on a circle, from 1,700,000,000 s on, a pose each 10 ms: time, x, y, z, heading.
@@ -1457,13 +1435,13 @@ mod tests {
         let tf = tf.lines().enumerate().map(|(k, row)| if k > 25 { &row[..row.len() / 2] } else { row });
         files.push(("ros2, TF", true, tf.map(|row| format!("{row}\n")).collect()));
         for (name, heading, text) in &files {
-            must_be_arc(name, parse(text.as_bytes()), *heading, 1_700_000_000.0);
+            must_be_arc(name, parse(text.as_bytes(), None), *heading, 1_700_000_000.0);
             // As Windows writes it, twice one behind the other, and as 16 bits a letter.
             let mut wide: Vec<u8> = vec![0xff, 0xfe];
             wide.extend(text.replace('\n', "\r\n").encode_utf16().flat_map(u16::to_le_bytes));
-            must_be_arc(name, parse(&wide), *heading, 1_700_000_000.0);
+            must_be_arc(name, parse(&wide, None), *heading, 1_700_000_000.0);
             let bare: Vec<u8> = text.encode_utf16().flat_map(u16::to_be_bytes).collect();
-            must_be_arc(name, parse(&bare), *heading, 1_700_000_000.0);
+            must_be_arc(name, parse(&bare, None), *heading, 1_700_000_000.0);
         }
     }
 
@@ -1476,26 +1454,26 @@ mod tests {
                 format!("2023-11-14T{hour}:13:{s:09.6}{zone},{x},{y},{z}\n")
             };
             let rows = "time,x,y,z\n".to_owned() + &arc().into_iter().map(date).collect::<String>();
-            must_be_arc(name, parse(rows.as_bytes()), false, 1_700_000_000.0);
+            must_be_arc(name, parse(rows.as_bytes(), None), false, 1_700_000_000.0);
             let rows = rows.replace('T', " ");
-            must_be_arc(name, parse(rows.as_bytes()), false, 1_700_000_000.0);
+            must_be_arc(name, parse(rows.as_bytes(), None), false, 1_700_000_000.0);
         }
         let robots = |name: &str| written("robot,t,east,north,up\n", &format!("{name},{{t}},{{x}},{{y}},{{z}}"));
-        must_be_arc("robot", parse(robots("rx").as_bytes()), false, 1_700_000_000.0);
+        must_be_arc("robot", parse(robots("rx").as_bytes(), None), false, 1_700_000_000.0);
         let two = robots("rx") + &robots("tx");
         assert!(
-            matches!(parse(two.as_bytes()), Err(CsvError::Refused(why)) if why.contains("among those of")),
+            matches!(parse(two.as_bytes(), None), Err(CsvError::Refused(why)) if why.contains("among those of")),
             "two robots"
         );
         for head in ["t,x [in],y,z,yaw", "t,x,y,z [in],yaw", "t,x,y,z,yaw [gon]"] {
             let error =
-                parse(written(&format!("{head}\n"), "{t},{x},{y},{z},{yaw}").as_bytes()).unwrap_err().to_string();
+                parse(written(&format!("{head}\n"), "{t},{x},{y},{z},{yaw}").as_bytes(), None).unwrap_err().to_string();
             let heading = head.split(',').find(|heading| heading.contains('[')).unwrap();
             assert!(error.contains(&format!("have `{heading}`, whose unit is not known")), "{error}");
         }
         // What another column has, too, is not missed.
         let twice = written("t,x,y,z,up [in]\n", "{t},{x},{y},{z},7");
-        must_be_arc("twice", parse(twice.as_bytes()), false, 1_700_000_000.0);
+        must_be_arc("twice", parse(twice.as_bytes(), None), false, 1_700_000_000.0);
     }
 
     #[test]
@@ -1529,30 +1507,30 @@ mod tests {
         );
         // x, up, towards the one who looks
         let text = written(&head, "7,{run},0,{s},0,{c},{x_mm},{z_mm},{-y_mm},0.1");
-        let motive = parse(text.as_bytes());
+        let motive = parse(text.as_bytes(), None);
         assert_eq!(motive.as_ref().unwrap().0.kind(), TrajectoryKind::MotionCapture);
         must_be_arc("Motive", motive, true, 0.0);
         // Two bodies are refused, and so is what was exported with z up.
         let two = text.replacen(",Robot,Robot", ",Robot,Other", 1);
-        let error = parse(two.as_bytes()).unwrap_err().to_string();
+        let error = parse(two.as_bytes(), None).unwrap_err().to_string();
         assert!(error.contains("rigid bodies (Robot, Other, Robot): export one"), "{error}");
         let z_up = written(&head, "7,{run},0,{s},0,{c},{x_mm},{y_mm},{z_mm},0.1");
-        let Err(CsvError::Ambiguous { readings, .. }) = parse(z_up.as_bytes()) else { panic!() };
+        let Err(CsvError::Ambiguous { readings, .. }) = parse(z_up.as_bytes(), None) else { panic!() };
         assert_eq!(readings, ["_,t,qx,qz,-qy,qw,x_mm,z_mm,-y_mm", "_,t,qx,qy,qz,qw,x_mm,y_mm,z_mm"]);
         // KITTI: x right, y down, z forward, and the times in a file beside.
         let folder = std::env::temp_dir().join(format!("csi5300-kitti-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let kitti = written("", "{cos} 0 {-sin} {-y} 0 1 0 {-z} {sin} 0 {cos} {x}");
         std::fs::write(folder.join("00.txt"), &kitti).unwrap();
-        let error = read(&folder.join("00.txt")).unwrap_err().to_string();
+        let error = read(&folder.join("00.txt"), None).unwrap_err().to_string();
         assert!(error.contains("KITTI") && error.contains("times.txt"), "{error}");
         std::fs::write(folder.join("times.txt"), written("# s\n", "{exponent}")).unwrap();
-        must_be_arc("KITTI", read(&folder.join("00.txt")), true, 0.0);
+        must_be_arc("KITTI", read(&folder.join("00.txt"), None), true, 0.0);
         std::fs::write(folder.join("00_times.txt"), "1\n2\n").unwrap();
-        let error = read(&folder.join("00.txt")).unwrap_err().to_string();
+        let error = read(&folder.join("00.txt"), None).unwrap_err().to_string();
         assert!(error.contains("50 poses and 2 times"), "{error}");
         std::fs::write(folder.join("00_times.txt"), "1\n\ntwo\n").unwrap();
-        let error = read(&folder.join("00.txt")).unwrap_err().to_string();
+        let error = read(&folder.join("00.txt"), None).unwrap_err().to_string();
         assert!(error.contains("line 3 of ") && error.contains("00_times.txt is no number"), "{error}");
         std::fs::remove_dir_all(&folder).unwrap();
     }
@@ -1569,10 +1547,10 @@ mod tests {
             };
             (0..1257).map(row).collect::<String>()
         };
-        let (trajectory, _) = parse(way(false).as_bytes()).unwrap();
+        let (trajectory, _) = parse(way(false).as_bytes(), None).unwrap();
         let last = trajectory.poses().last().unwrap();
         assert!((last.heading_rad.unwrap() - 12.56 - std::f64::consts::FRAC_PI_2).abs() < 1e-3, "{last:?}");
-        assert!(matches!(parse(way(true).as_bytes()), Err(CsvError::Ambiguous { .. })));
+        assert!(matches!(parse(way(true).as_bytes(), None), Err(CsvError::Ambiguous { .. })));
     }
 
     #[test]
@@ -1586,7 +1564,7 @@ mod tests {
             ("four", "", "{t},{x},{y},{z}", "t,x,y,z"),
         ] {
             let text = written(head, row);
-            let error = parse(text.as_bytes()).expect_err(name);
+            let error = parse(text.as_bytes(), None).expect_err(name);
             assert!(matches!(error, CsvError::Ambiguous { .. } | CsvError::Refused(_)), "{name}: {error}");
             assert!(error.to_string().contains("--columns"), "{name}: {error}");
             if let CsvError::Ambiguous { readings, .. } = &error {
@@ -1597,7 +1575,7 @@ mod tests {
                 );
             }
             let columns: Columns = columns.parse().unwrap();
-            must_be_arc(name, parse_as(text.as_bytes(), Some(&columns)), name != "four", 1_700_000_000.0);
+            must_be_arc(name, parse(text.as_bytes(), Some(&columns)), name != "four", 1_700_000_000.0);
         }
         for (text, why) in [
             ("when,east,north,x,y\n1.5,1,2,3,4\n2.5,1,2,3,5\n", "the headings name no time"),
@@ -1605,7 +1583,7 @@ mod tests {
             ("t,x,y,tx_x,x\n1.5,1,2,3,4\n2.5,1,2,3,5\n", "name `x` twice, columns 2 and 5"),
             ("# time x y z kurs\n1.5,0,2,3,4\n2.5,0,2,3,5\n", ""),
         ] {
-            match parse(text.as_bytes()) {
+            match parse(text.as_bytes(), None) {
                 Ok((trajectory, _)) => {
                     assert!(why.is_empty() && trajectory.poses()[0].position_m == Vector3::new(0.0, 2.0, 3.0))
                 }
@@ -1613,7 +1591,7 @@ mod tests {
             }
         }
         let frames = "1,0,odom,base,0,0,0,0,0,0,1\n1,5,odom,base,0,0,0,0,0,0,1\n2,0,base,laser,9,0,0,0,0,0,1\n";
-        let error = parse(frames.as_bytes()).unwrap_err();
+        let error = parse(frames.as_bytes(), None).unwrap_err();
         assert!(
             error.to_string().starts_with("line 3: poses of `base -> laser` among those of `odom -> base`"),
             "{error}"
@@ -1654,7 +1632,7 @@ mod tests {
             (ros("mocap"), MotionCapture),
             ("1,0,0,0,0\n2,0,0,0,0\n".into(), Unknown),
         ] {
-            assert_eq!(parse(text.as_bytes()).unwrap().0.kind(), kind, "{text}");
+            assert_eq!(parse(text.as_bytes(), None).unwrap().0.kind(), kind, "{text}");
         }
         for (name, kind) in [
             ("odom_rx_trajectory_1_.csv", Wheels),

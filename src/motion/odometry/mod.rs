@@ -29,6 +29,7 @@ pub enum NextPose {
 }
 
 /// Counts of a robot of a simulated room that follows a source of poses.
+#[doc(hidden)] // for the crates of this workspace
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct FollowedCounts {
     /// Poses that it follows.
@@ -42,9 +43,9 @@ pub struct FollowedCounts {
 }
 
 /// A source's own counts; in JSON only the fields of the variant.
+#[doc(hidden)] // for the crates of this workspace
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 #[serde(untagged)]
-#[non_exhaustive]
 pub enum SourceCounts {
     /// A topic of ROS.
     Topic(ros::TopicCounts),
@@ -76,31 +77,15 @@ pub trait OdometrySource {
     fn next_at(&self) -> Option<Instant>;
 
     /// The source's present problem, in words, if any: unplugged, not answering.
+    #[doc(hidden)] // for the crates of this workspace
     fn trouble(&self) -> Option<String> {
         None
     }
 
     /// The source's own counts, if any.
+    #[doc(hidden)] // for the crates of this workspace
     fn counted(&self) -> Option<SourceCounts> {
         None
-    }
-}
-
-impl<S: OdometrySource + ?Sized> OdometrySource for Box<S> {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
-        (**self).receive(now)
-    }
-
-    fn next_at(&self) -> Option<Instant> {
-        (**self).next_at()
-    }
-
-    fn trouble(&self) -> Option<String> {
-        (**self).trouble()
-    }
-
-    fn counted(&self) -> Option<SourceCounts> {
-        (**self).counted()
     }
 }
 

@@ -10,7 +10,7 @@ use csi5300::exchange::tdma::Phy;
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Options, Transmitter};
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, rate};
+use driver_iface::bfee::{Antenna, SUBCARRIERS, rate};
 use driver_iface::mpdu;
 use driver_iface::radiotap::Bandwidth;
 use num_complex::{Complex32, Complex64};
@@ -400,7 +400,7 @@ impl Constant {
 }
 
 /// The coefficients of a named antenna.
-fn antenna(record: &HeardRecord, antenna: Antenna) -> Option<[Complex32; csi5300::signal::channel::SUBCARRIERS]> {
+fn antenna(record: &HeardRecord, antenna: Antenna) -> Option<[Complex32; SUBCARRIERS]> {
     antennas(record)?.chain_of(antenna).map(|chain| column(record, chain))
 }
 

@@ -3,9 +3,9 @@
 use super::Told;
 use crate::evidence::{Evidence, Heard, HeardRecord, antenna_a, antennas, column};
 use crate::stats::{SURE, mean_and_error, quantile};
-use csi5300::signal::channel::{SUBCARRIERS, Width};
+use csi5300::signal::channel::Width;
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, Iq, NOISE_UNKNOWN_DBM, rate};
+use driver_iface::bfee::{Antenna, Iq, NOISE_UNKNOWN_DBM, SUBCARRIERS, rate};
 use driver_iface::record::Tail;
 use num_complex::Complex32;
 use std::collections::{BTreeMap, HashMap};

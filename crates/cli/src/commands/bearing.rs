@@ -670,7 +670,7 @@ fn take_roles(args: &mut Args) -> Words<()> {
     let is_beside = |file: &PathBuf| file.ends_with(TRUTH_FILE) || logs.iter().any(|log| side_path(log) == *file);
     if let (Some(file), true) = (others.iter().find(|file| !is_beside(file)), is_named_one_by_one) {
         must_not_be_empty(file)?;
-        let why = csv::read_as(file, args.logs.columns.as_ref()).err();
+        let why = csv::read(file, args.logs.columns.as_ref()).err();
         let why = why.map_or_else(|| file.display().to_string(), |error| trajectory_refused(file, &error));
         return Err(format!("neither a log of CSI nor a trajectory: {why}"));
     }

@@ -189,7 +189,7 @@ fn files(capture: &WrittenCapture) -> (PathBuf, PathBuf, PathBuf) {
 
 fn estimate(rx: &Path, tx: &Path, trajectory: &Path, options: &Options) -> Words<CaptureReport> {
     let (mut receiver, mut transmitter) = (super::open_log(rx)?, super::open_log(tx)?);
-    let path = super::read_trajectory(trajectory)?;
+    let path = super::read_trajectory(trajectory, None)?;
     let transmitters = vec![Transmitter { log: &mut transmitter, trajectory: None }];
     bearings(&mut receiver, transmitters, &path, options).in_words()
 }

@@ -61,20 +61,12 @@ pub fn must_be_log(path: &Path) -> Words<()> {
     }
 }
 
-/// Reads a trajectory, and reports skipped rows.
+/// Reads a trajectory, whose columns may be named, and reports skipped rows.
 ///
 /// # Errors
 /// If it cannot be read, or is another kind of file, in words.
-pub fn read_trajectory(path: &Path) -> Words<Trajectory> {
-    read_trajectory_as(path, None)
-}
-
-/// Reads a trajectory whose columns are named.
-///
-/// # Errors
-/// As [`read_trajectory`].
-pub fn read_trajectory_as(path: &Path, columns: Option<&Columns>) -> Words<Trajectory> {
-    let (trajectory, counts) = csv::read_as(path, columns).map_err(|error| trajectory_refused(path, &error))?;
+pub fn read_trajectory(path: &Path, columns: Option<&Columns>) -> Words<Trajectory> {
+    let (trajectory, counts) = csv::read(path, columns).map_err(|error| trajectory_refused(path, &error))?;
     say_trajectory(path, &trajectory, &counts);
     Ok(trajectory)
 }
@@ -196,7 +188,7 @@ impl Inputs {
     /// # Errors
     /// If it cannot be read, in words.
     pub fn trajectory(&self, path: &Path) -> Words<Trajectory> {
-        let Some(bytes) = self.topic(path) else { return read_trajectory_as(path, self.columns.as_ref()) };
+        let Some(bytes) = self.topic(path) else { return read_trajectory(path, self.columns.as_ref()) };
         let read = csv::parse_topic(bytes, &path.to_string_lossy());
         let (trajectory, counts) = read.map_err(|error| format!("{}: {error}", path.display()))?;
         say_trajectory(path, &trajectory, &counts);
@@ -420,7 +412,7 @@ mod tests {
         std::fs::write(&damaged, [&b"words, ".repeat(4_096)[..], &log].concat()).unwrap();
         assert!(open_log(&damaged).is_ok());
         std::fs::write(folder.join("log.csv"), &log).unwrap();
-        let error = read_trajectory(&folder.join("log.csv")).err().unwrap();
+        let error = read_trajectory(&folder.join("log.csv"), None).err().unwrap();
         assert!(error.contains("is a log of CSI: a trajectory is"), "{error}");
         std::fs::remove_dir_all(&folder).unwrap();
     }

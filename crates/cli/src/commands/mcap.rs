@@ -1,14 +1,14 @@
 //! `csi5300 mcap`.
 
 use super::args::Estimation;
-use super::files::{read_trajectory_as, told_apart};
+use super::files::{read_trajectory, told_apart};
 use super::{InWords, Outcome, Result, Words, fixed, info, some, usage};
 use csi5300::bartlett::{self, Grid};
 use csi5300::internal::{FrameHeard, Front};
 use csi5300::motion::odometry::csv::Columns;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Bearing, JoinBy, Options, Transmitter, bearings, lost_something};
-use csi5300::signal::channel::{Channel, SUBCARRIERS};
+use csi5300::signal::channel::Channel;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Unwrap32};
@@ -18,6 +18,7 @@ use csi5300_bag::messages::{
     TfMessage, Time, Transform, TransformStamped, Vector3,
 };
 use driver_iface::Mac;
+use driver_iface::bfee::SUBCARRIERS;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
@@ -82,8 +83,7 @@ pub fn run(args: &Args) -> Result {
     // As parts of topics.
     let stem = |path: &PathBuf| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let names = told_apart(args.logs.iter().map(stem).collect());
-    let trajectory =
-        args.trajectory.as_deref().map(|path| read_trajectory_as(path, args.columns.as_ref())).transpose()?;
+    let trajectory = args.trajectory.as_deref().map(|path| read_trajectory(path, args.columns.as_ref())).transpose()?;
     // Options are checked before the file is created.
     let options =
         args.channel.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));

@@ -11,7 +11,7 @@ use csi5300::pipeline::live::LiveEstimator;
 use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::recorder::{LogFiles, Rotation};
-use csi5300::source::{Error, Next};
+use csi5300::source::{Error, Next, read_key};
 use csi5300::time::{Instant, Span};
 use csi5300_live::doctor::{Machine, other_channel};
 use csi5300_live::listener::Listener;
@@ -19,7 +19,7 @@ use csi5300_live::logged::Logged;
 use csi5300_live::monitor::{AirCounts, Monitor, Options};
 use csi5300_live::sounding::{
     Beside, Figures, Finished, KERNEL_TURN_AROUND_US, Measuring, News, Observer, Opened, Running, Session, Settings,
-    Setup, Spread, products, rate_n_flags, read_key, set_rate, spread_of,
+    Setup, Spread, products, rate_n_flags, set_rate, spread_of,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
@@ -174,7 +174,7 @@ impl Bearings<'_> {
             note!("{contested} numbers have two records: somebody answers in a peer's name; none of them is used");
         }
         let (links, path) = (self.products.links(), self.path.to_owned());
-        let work = move || match csv::read_as(&path, None) {
+        let work = move || match csv::read(&path, None) {
             Ok((trajectory, mut counts)) => {
                 let notes = counts.notes(&trajectory);
                 // One row may be in the middle of being written.
@@ -258,7 +258,7 @@ pub fn run(args: &Args) -> Result {
         (config.epoch, config.start) = (Epoch::Heard(now), now);
         (config.initiate, config.open_loop) = (true, args.open_loop);
         if args.alone || args.open_loop {
-            let slot_us = Plan::new(&config.request).map_or(ALONE_SILENCE_US, |plan| plan.slot_us());
+            let slot_us = Plan::new(&config.request).map_or(ALONE_SILENCE_US, |plan| plan.slot_us);
             config.silence_slots = ALONE_SILENCE_SLOTS.max((ALONE_SILENCE_US / slot_us).ceil() as u32);
         }
     })?;
@@ -482,9 +482,9 @@ impl Sounding {
             self.name(),
             opened.own,
             super::some(plan.slots.into(), "link", "links"),
-            plan.rate_hz(),
-            plan.slot_us(),
-            plan.shortest_slot_us()
+            plan.rate_hz,
+            plan.slot_us,
+            plan.shortest_slot_us
         );
         Ok(opened)
     }

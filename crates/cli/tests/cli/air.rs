@@ -117,7 +117,7 @@ fn a_served_room_is_heard_through_the_kernel() {
         assert!(said.contains(&format!("{} records sent", heard.len())), "{said}");
         assert_eq!(row["robots"][robot]["on_connector"], heard.len(), "{row}");
     }
-    let (trajectory, counts) = csv::read(&poses).unwrap();
+    let (trajectory, counts) = csv::read(&poses, None).unwrap();
     assert_eq!((counts.rows, counts.bad_rows), (151, 0));
     let reach = trajectory.poses().iter().map(|pose| pose.position_m.norm()).fold(0.0, f64::max);
     assert!((reach - 0.6).abs() < 0.01, "{reach}");

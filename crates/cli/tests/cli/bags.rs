@@ -29,7 +29,7 @@ fn csi(log: &Path) -> Vec<Vec<u8>> {
 
 /// The same for each pose of a trajectory.
 fn poses(path: &Path) -> Vec<Vec<u8>> {
-    let (trajectory, _) = csv::read(path).unwrap();
+    let (trajectory, _) = csv::read(path, None).unwrap();
     let message = |pose: &Pose| {
         let header = Header { stamp: Time::from_us((pose.t_s * 1e6).round() as i64), frame_id: "odom".into() };
         let (z, w) = (0.5 * pose.heading_rad.unwrap_or(0.0)).sin_cos();
@@ -42,7 +42,7 @@ fn poses(path: &Path) -> Vec<Vec<u8>> {
 
 /// The same trajectory with a heading, which messages always have.
 fn headed(folder: &Folder, path: &Path) -> PathBuf {
-    let (trajectory, _) = csv::read(path).unwrap();
+    let (trajectory, _) = csv::read(path, None).unwrap();
     let line = |pose: &Pose| csv::line(&Pose { heading_rad: Some(0.0), ..*pose });
     folder.write("t.csv", trajectory.poses().iter().map(line).collect::<String>().as_bytes())
 }

@@ -108,7 +108,7 @@ fn scenes_fitted_to_the_papers_captures_agree_with_them() {
         let folder = captures.join("paper").join(shape);
         let log = |side: &str| Replay::open(&folder.join(format!("csi_{side}_{name}.dat"))).unwrap();
         let path = folder.join(format!("rx_movement_{name}.csv"));
-        let (trajectory, _) = csv::read(&path).unwrap();
+        let (trajectory, _) = csv::read(&path, None).unwrap();
         let mut recorded = measure(&mut log("rx"), &mut log("tx"), &trajectory, None, &options()).unwrap();
         recorded.link.place_m = Some([-3.18, 1.11, 0.27]);
         let known =

@@ -98,6 +98,8 @@ pub struct Capture {
     /// Position of the tracking camera on the robot. If given, its trajectory rolls about the middle between the wheels, and the
     /// antenna's position is relative to that point. `None` if unknown.
     pub camera: Option<Mount>,
+    /// Only this part of the motion, seconds on the trajectory's clock: bearings are compared from the mean pose in it.
+    pub within_s: Option<(f64, f64)>,
 }
 
 impl Capture {
@@ -311,7 +313,7 @@ impl Sorted {
         for file in files {
             if has_record(&file) {
                 sorted.logs.push(file);
-            } else if csv::read_as(&file, columns).is_ok() {
+            } else if csv::read(&file, columns).is_ok() {
                 sorted.trajectories.push(file);
             } else {
                 sorted.others.push(file);
@@ -368,7 +370,7 @@ pub fn receiver(logs: &[PathBuf], trajectory: &Path, needs_two: bool) -> Result<
     if let Some((log, _)) = exactly_one(surveys.iter().filter(|(_, survey)| robots(survey) > 1)) {
         return Ok((*log).clone());
     }
-    if let Ok((poses, _)) = csv::read_as(trajectory, None)
+    if let Ok((poses, _)) = csv::read(trajectory, None)
         && let Some((from, to)) = poses.poses().first().zip(poses.poses().last())
     {
         let overlaps = |(a, b): (i64, i64)| (a as f64 * 1e-6) < to.t_s && b as f64 * 1e-6 > from.t_s;

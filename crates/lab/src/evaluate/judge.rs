@@ -95,20 +95,7 @@ impl Capture {
         options: &Options,
         look: &mut Look<'_>,
     ) -> Evaluated {
-        self.evaluate_part(source, channel, options, Part::WHOLE, look)
-    }
-
-    /// The same for a part of the motion; its bearings are compared from the mean pose of the part.
-    #[must_use]
-    pub fn evaluate_part(
-        &self,
-        source: TrajectorySource,
-        channel: Option<Channel>,
-        options: &Options,
-        part: Part,
-        look: &mut Look<'_>,
-    ) -> Evaluated {
-        self.try_evaluate((source, channel, options, part), look).unwrap_or_else(|error| {
+        self.try_evaluate(source, channel, options, look).unwrap_or_else(|error| {
             let row = |name: &str| Judged {
                 answer: Answer::failed(self.link_name(name), error.to_string()),
                 ..Judged::default()
@@ -123,7 +110,9 @@ impl Capture {
 
     fn try_evaluate(
         &self,
-        (source, channel, options, part): (TrajectorySource, Option<Channel>, &Options, Part),
+        source: TrajectorySource,
+        channel: Option<Channel>,
+        options: &Options,
         look: &mut Look<'_>,
     ) -> Result<Evaluated, Failure> {
         let truth = if self.has_truth() { Truth::read(&self.folder)? } else { Truth::default() };
@@ -154,7 +143,8 @@ impl Capture {
         let mut options = Options { heading_sd_rad: Some(heading_sd_rad), ..options.clone() };
         options.channel = channel;
         let moved = self.moved(source, &mut notes)?;
-        let (report, failed) = self.estimate(&part.cut(&trajectory)?, &moved, &options)?;
+        let part = self.within_s.map(|(from_s, to_s)| trajectory.within(from_s, to_s)).transpose()?;
+        let (report, failed) = self.estimate(part.as_ref().unwrap_or(&trajectory), &moved, &options)?;
         let fit = report.links.iter().find_map(|link| link.bearing.as_ref().ok()?.odometry_fit.as_ref());
         let fit = fit.filter(|fit| fit.refused.is_none());
         let heading_sd_rad = fit.map_or(heading_sd_rad, |fit| fit.heading_sd_rad(heading_sd_rad));
@@ -236,7 +226,7 @@ impl Capture {
 
 /// Reads a trajectory and notes its losses.
 fn read_path(path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, Failure> {
-    let (trajectory, counts) = csv::read(&path).map_err(|error| match error {
+    let (trajectory, counts) = csv::read(&path, None).map_err(|error| match error {
         // An operating system's error names the file.
         CsvError::Io { .. } => error.to_string(),
         _ => format!("{}: {error}", path.display()),
@@ -356,7 +346,7 @@ impl Capture {
         }
         let mut others = [TrajectorySource::GroundTruth, TrajectorySource::T265].into_iter();
         let turn_rad = others.find_map(|other| {
-            let other = csv::read(&self.trajectory_of(other, "rx")).ok()?.0;
+            let other = csv::read(&self.trajectory_of(other, "rx"), None).ok()?.0;
             heading_between_rad(&recorded, &other)
         });
         turn_rad.map_or(Ok(recorded.clone()), |turn_rad| turned_by(&recorded, turn_rad))
@@ -379,46 +369,6 @@ fn turned_by(trajectory: &Trajectory, turn_rad: f64) -> Result<Trajectory, Traje
         heading_rad: pose.heading_rad.map(|heading| wrap_rad(heading + turn_rad)),
     };
     Trajectory::new(trajectory.poses().iter().map(turned).collect())
-}
-
-/// One or more consecutive parts of a motion that is cut into equally long ones.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Part {
-    /// Index of the first part.
-    pub index: u32,
-    /// Number of parts into which the motion is cut.
-    pub of: u32,
-    /// Number of parts from there on.
-    pub count: u32,
-}
-
-impl Part {
-    /// The whole motion.
-    pub const WHOLE: Self = Self { index: 0, of: 1, count: 1 };
-
-    /// All `of` parts of a motion, in order of time.
-    pub fn each(of: u32) -> impl Iterator<Item = Self> {
-        (0..of).map(move |index| Self { index, of, count: 1 })
-    }
-
-    /// The motion from its start to the end of this part.
-    #[must_use]
-    pub fn and_before(self) -> Self {
-        Self { index: 0, count: self.index + self.count, ..self }
-    }
-
-    /// The poses of this part. The motion lies between the first and the last pose that moves; a trajectory without motion stays
-    /// whole.
-    ///
-    /// # Errors
-    /// If fewer than two poses are in the part.
-    pub fn cut(self, trajectory: &Trajectory) -> Result<Trajectory, TrajectoryError> {
-        let Some((start_s, end_s)) = trajectory.motion().window_s.filter(|_| self.of > 1) else {
-            return Ok(trajectory.clone());
-        };
-        let edge_s = |k: u32| start_s + (end_s - start_s) * f64::from(k) / f64::from(self.of);
-        trajectory.within(edge_s(self.index), edge_s(self.index + self.count))
-    }
 }
 
 #[cfg(test)]
@@ -449,23 +399,6 @@ mod tests {
             assert!((moved(&turned, k) - moved(&zeroed, k)).norm() < 1e-9, "{k}");
         }
         assert_eq!(heading_between_rad(&turned, &wheels(1.0)).map(|rad| (rad * 1e6).round()), Some(1e6));
-    }
-
-    #[test]
-    fn parts_follow_each_other_and_make_up_the_motion() {
-        let at = |k: usize| Vector3::new(0.01 * (k.clamp(100, 300) as f64 - 100.0), 0.0, 0.0);
-        let pose = |k: usize| Pose { t_s: 0.02 * k as f64, position_m: at(k), heading_rad: None };
-        let whole = Trajectory::new((0..400).map(pose).collect()).unwrap();
-        assert_eq!(Part::WHOLE.cut(&whole).unwrap(), whole);
-        let (start_s, end_s) = whole.motion().window_s.unwrap();
-        let spans: Vec<(f64, f64)> = Part::each(4).map(|part| part.cut(&whole).unwrap().span_s()).collect();
-        assert!((spans[0].0 - start_s).abs() < 0.03 && (spans[3].1 - end_s).abs() < 0.03, "{spans:?}");
-        for (k, span) in spans.iter().enumerate() {
-            assert!((span.1 - span.0 - (end_s - start_s) / 4.0).abs() < 0.05, "{k}: {spans:?}");
-        }
-        assert!(spans.windows(2).all(|two| two[1].0 - two[0].1 < 0.03), "{spans:?}");
-        let so_far = Part::each(4).nth(2).unwrap().and_before().cut(&whole).unwrap().span_s();
-        assert_eq!(so_far, (spans[0].0, spans[2].1));
     }
 
     #[test]

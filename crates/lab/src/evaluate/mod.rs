@@ -20,5 +20,5 @@ pub mod receivers;
 pub mod transmitters;
 
 pub use captures::{Capture, Loose, TRUTH_FILE, TrajectorySource, channel_in, find, find_all};
-pub use judge::{Evaluated, Judged, Look, Part};
+pub use judge::{Evaluated, Judged, Look};
 pub use quality::{ALL_SETS, Errors, Kept, Reliability, SetSummary, Sure, WRONG_DEG, reliability, summarise, surest};

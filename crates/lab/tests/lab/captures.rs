@@ -154,7 +154,7 @@ fn files(captures: &Path, (shape, name): (&str, &str)) -> [PathBuf; 3] {
 
 fn run(rx: &Path, tx: &Path, path: &Path, options: &Options) -> Result<Bearing, LinkError> {
     let (mut rx, mut tx) = (Replay::open(rx).unwrap(), Replay::open(tx).unwrap());
-    let (path, _) = csv::read(path).unwrap();
+    let (path, _) = csv::read(path, None).unwrap();
     let logs = vec![Transmitter { log: &mut tx, trajectory: None }];
     bearings(&mut rx, logs, &path, options).unwrap().links.remove(0).bearing
 }
@@ -274,7 +274,7 @@ fn a_trajectory_on_another_clock_is_told_by_real_phases() {
     for (place, date) in [("L1", "2021-06-27_202550"), ("L3", "2021-06-27_204514"), ("L5", "2021-06-27_191635")] {
         let file = |name: &str| captures.join("wsr/LOS_Set_A").join(place).join(name.replace("DATE", date));
         let open = |name: &str| Replay::open(&file(name)).unwrap();
-        let (path, _) = csv::read(&file("rx_trajectory_DATE_.csv")).unwrap();
+        let (path, _) = csv::read(&file("rx_trajectory_DATE_.csv"), None).unwrap();
         let at = |clock_offset_s: f64| {
             let [mut rx, mut two, mut three, mut four] =
                 ["rx", "tx2", "tx3", "tx4"].map(|name| open(&format!("csi_{name}_DATE.dat")));

@@ -35,7 +35,6 @@ use driver_iface::bfee::{Antenna, rate};
 use driver_iface::radiotap::Bandwidth;
 use sessions::PeerSessions;
 use std::os::fd::{AsFd, BorrowedFd};
-use std::path::Path;
 
 /// Interval at which news are fetched and [`Observer::look`] is called.
 const LOOK: Span = Span::from_ms(50);
@@ -286,14 +285,6 @@ impl Setup {
     pub fn config(&self, own: Mac, session: u32) -> Config {
         Config { key: self.key.clone(), ..Config::new(own, self.own_index, &self.peers, self.request, session) }
     }
-}
-
-/// Reads a key: see [`csi5300::source::read_key`].
-///
-/// # Errors
-/// If the file is refused.
-pub fn read_key(path: &Path) -> Result<Key, Error> {
-    csi5300::source::read_key(path).map_err(|error| Error::Backend(Box::new(error)))
 }
 
 /// Antennas of the card.

@@ -41,7 +41,7 @@ fn carried(measurement: native::Measurement) -> native::Measurement {
 fn products_from_answers_give_the_bearing() {
     let truth_rad = 2.0_f64;
     let made = link(600, truth_rad);
-    let (trajectory, _) = csv::parse(made.trajectory.as_bytes()).unwrap();
+    let (trajectory, _) = csv::parse(made.trajectory.as_bytes(), None).unwrap();
     let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
     let mut products = products(&[Mac([9; 6]), TRANSMITTER], options);
     let mut responder = Survey::default();

@@ -404,7 +404,7 @@ pub(crate) fn offline(capture: &Path, camera: Option<CameraMount>) -> Offline {
     };
     let poses = if camera.is_some() { "t265_rx_trajectory_" } else { "rx_trajectory_" };
     let (rx, trajectory, txs) = (named("csi_rx_").remove(0), named(poses).remove(0), named("csi_tx"));
-    let (mut path, _) = csi5300::motion::odometry::csv::read(&trajectory).unwrap();
+    let (mut path, _) = csi5300::motion::odometry::csv::read(&trajectory, None).unwrap();
     if let Some(camera) = camera {
         path = path.rolling(&camera.mount()).unwrap().with_antenna_offset([0.05, 0.16, 0.0].into()).unwrap();
     }

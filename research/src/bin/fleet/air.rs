@@ -57,7 +57,7 @@ impl Shared {
     /// The request of a node, at the highest rate that its share of the air allows.
     pub fn plan(self) -> Result<(Request, Plan), PlanError> {
         let request = Request::new(self.size - 1, 1e-3);
-        let slot_us = Plan::new(&request)?.shortest_slot_us();
+        let slot_us = Plan::new(&request)?.shortest_slot_us;
         let round_us = slot_us * u32::from(self.size - 1) * u32::from(self.groups);
         let request = Request { rate_hz: 1e6 / f64::from(round_us), ..request };
         Plan::new(&request).map(|plan| (request, plan))
@@ -65,7 +65,7 @@ impl Shared {
 
     /// Exchanges in which a robot takes part if nothing is lost, a second. Each exchange involves two robots of the group.
     pub fn computed_hz(self, plan: &Plan) -> f64 {
-        2e6 / plan.slot_us() / f64::from(self.size)
+        2e6 / plan.slot_us / f64::from(self.size)
     }
 
     /// Simulates the channel. With few groups, whose slots overlap by chance, this is the mean of several runs.
@@ -85,7 +85,7 @@ impl Shared {
     /// Runs the channel until every robot had a turn, then counts for another cycle.
     fn run(self, seed: u64) -> Fallible<Got> {
         let (request, plan) = self.plan()?;
-        let cycle = Span::from_us(plan.cycle_us(self.size.into()).try_into()?);
+        let cycle = plan.span_of(u32::from(self.size) * plan.turn_slots);
         let begin = Instant::ZERO + plan.span_of(BEGIN_SLOTS) + cycle;
         let end = begin + cycle.max(Span::from_s(COUNTED_S));
         let mut scene = Scene {
@@ -243,7 +243,7 @@ mod tests {
             // Either frame of an exchange may be lost.
             let share = got.exchanges_hz / alone.computed_hz(&plan);
             assert!((1.0 - 4.0 * LOSS..1.001).contains(&share) && got.lost < 4.0 * LOSS, "{size}: {share}, {got:?}");
-            assert!(got.age_s < 1e-6 * plan.cycle_us(size.into()) as f64, "{got:?}");
+            assert!(got.age_s < plan.span_of(u32::from(size) * plan.turn_slots).as_s(), "{got:?}");
             // Each card reports every frame of others: both of an exchange, or one if its robot takes part.
             let records_hz = got.exchanges_hz * f64::from(size - 1);
             assert!((got.records_hz / records_hz - 1.0).abs() < 0.01, "{got:?}, {records_hz}");

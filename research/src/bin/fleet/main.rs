@@ -66,7 +66,7 @@ fn print_air() -> Fallible<()> {
     let (request, plan) = Shared { groups: 1, size: 2 }.plan()?;
     let (forward, backward) = request.dialect.longest(1);
     let [forward_us, backward_us] = [forward, backward].map(|bytes| request.phy.airtime_us(bytes));
-    let (turn_around_us, guards_us, slot_us) = (request.turn_around_us, 2 * request.guard_us, plan.shortest_slot_us());
+    let (turn_around_us, guards_us, slot_us) = (request.turn_around_us, 2 * request.guard_us, plan.shortest_slot_us);
     println!(
         "computed: {forward} bytes {forward_us} us, turn-around {turn_around_us} us, {backward} bytes {backward_us} us, guards {guards_us} us: {slot_us} us, {:.0} exchanges/s",
         1e6 / f64::from(slot_us)

@@ -240,7 +240,7 @@ fn plan(args: &Args, desk: &Desk) -> Words<Plan> {
     plan.truth = match (&desk.trajectory, desk.azimuth_deg) {
         (Some(path), Some(deg)) => {
             reads(path);
-            Some(Truth { trajectory: read_trajectory(path)?, azimuth_rad: deg.to_radians() })
+            Some(Truth { trajectory: read_trajectory(path, None)?, azimuth_rad: deg.to_radians() })
         }
         (None, None) => None,
         _ => usage("a desk has both `trajectory` and `azimuth_deg`, or neither"),

@@ -7,7 +7,7 @@ use csi5300::source::replay::Replay;
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{Checks, CsiSource, Next, Origin, side_path};
 use csi5300::time::Instant;
-use driver_iface::bfee::{Bfee, Iq, Repr};
+use driver_iface::bfee::{Bfee, Iq, Repr, SUBCARRIERS};
 use driver_iface::record::{Record, code};
 use driver_iface::side_file::{Check, Entry, Layout as SideLayout};
 use driver_iface::{Mac, mpdu};
@@ -107,8 +107,7 @@ impl Output {
         }
         let repr = Repr { wsr: None, ..Repr::parse(bfee) };
         let rows = (0..bfee.n_rx()).flat_map(|rx| (0..bfee.n_tx()).map(move |tx| (rx, tx)));
-        let all =
-            (0..csi5300::signal::channel::SUBCARRIERS).flat_map(|k| rows.clone().map(move |(rx, tx)| (k, rx, tx)));
+        let all = (0..SUBCARRIERS).flat_map(|k| rows.clone().map(move |(rx, tx)| (k, rx, tx)));
         let csi: Vec<Iq> = all.filter_map(|(k, rx, tx)| bfee.iq(k, rx, tx)).collect();
         let mut body = vec![0; repr.body_len()];
         repr.emit(&csi, &mut body).in_words()?;

@@ -212,8 +212,10 @@ fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> 
     let (name, tx) =
         capture.transmitters.first().ok_or_else(|| format!("no transmitter's log in {}", folder.display()))?;
     let path_of = |robot: &str| capture.folder.join(format!("{robot}_trajectory_{}_.csv", capture.stamp));
-    let trajectory = along.map_or_else(|| read_trajectory(&path_of("rx")), |trajectory| Ok(trajectory.clone()))?;
-    let displaced = Some(path_of(name)).filter(|path| path.is_file()).map(|path| read_trajectory(&path)).transpose()?;
+    let trajectory =
+        along.map_or_else(|| read_trajectory(&path_of("rx"), None), |trajectory| Ok(trajectory.clone()))?;
+    let displaced =
+        Some(path_of(name)).filter(|path| path.is_file()).map(|path| read_trajectory(&path, None)).transpose()?;
     read(&Inputs::default(), (&capture.receiver_log(), tx), (&trajectory, displaced.as_ref()), options)
 }
 

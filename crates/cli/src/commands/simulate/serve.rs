@@ -477,7 +477,7 @@ mod tests {
             (0..20).for_each(|k| poses.write(&pose(100 * run + k)));
             assert_eq!(poses.unwritten().0, 0);
         }
-        assert_eq!(csv::read(&path).unwrap().1.rows, 60);
+        assert_eq!(csv::read(&path, None).unwrap().1.rows, 60);
         std::fs::remove_dir_all(&folder).unwrap();
     }
 
