@@ -357,6 +357,17 @@ impl Trajectory {
         self.kind
     }
 
+    /// A name for the frame of these poses by which readers of recordings recognise the sensor.
+    #[must_use]
+    pub fn frame(&self) -> &'static str {
+        match self.kind {
+            TrajectoryKind::Unknown => "odom",
+            TrajectoryKind::MotionCapture => "mocap",
+            TrajectoryKind::Camera | TrajectoryKind::RollingCamera => "camera_odom",
+            TrajectoryKind::Wheels => "wheel_odom",
+        }
+    }
+
     /// As of a sensor of this kind.
     #[must_use]
     pub(crate) fn with_kind(mut self, kind: TrajectoryKind) -> Self {

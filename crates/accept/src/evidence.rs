@@ -17,7 +17,7 @@ use driver_iface::bfee::{Antenna, Antennas, Iq, MAX_SAMPLES, Repr, SUBCARRIERS};
 use driver_iface::record::code;
 use driver_iface::sounding::wsr::{self, Lfsr};
 use num_complex::{Complex32, Complex64};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 /// Limit of a card's records for the claims: an hour at 100 a second. Later ones are counted and logged.
 const RECORDS: usize = 360_000;
@@ -436,13 +436,9 @@ fn senders(heard: &Heard, numbered: bool) -> BTreeMap<Mac, usize> {
     counts
 }
 
-fn most(senders: BTreeMap<Mac, usize>) -> Option<Mac> {
-    senders.into_iter().max_by_key(|(mac, count)| (*count, *mac)).map(|(mac, _)| mac)
-}
-
 /// The sender that most numbered records have.
 pub(crate) fn usual_sender(heard: &Heard) -> Option<Mac> {
-    most(senders(heard, true))
+    senders(heard, true).into_iter().max_by_key(|(mac, count)| (*count, *mac)).map(|(mac, _)| mac)
 }
 
 /// The near card's record and the far card's of each exchange.
@@ -460,17 +456,33 @@ fn by_number<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) -
             heard_by_far.entry(number).and_modify(|twice| *twice = None).or_insert(Some(record));
         }
     }
-    let (mut pairs, mut frames, mut last) = (Vec::new(), 0, None);
+    let (mut pairs, mut heard_by_near, mut last) = (Vec::new(), Vec::new(), None);
     for record in near.records.iter().filter(|record| record.mac == of_far && record.number.is_some()) {
         if record.number == last {
             continue;
         }
         last = record.number;
-        frames += 1;
+        heard_by_near.extend(record.number);
         let other = record.number.and_then(|number| heard_by_far.get(&number).copied().flatten());
         pairs.extend(other.map(|other| (record, other)));
     }
-    Partners { pairs, frames: [frames, heard_by_far.len()], refused: None }
+    // Exchanges with robots that are sounded as often need no partner, unless one number is that of an exchange with each.
+    let elsewhere = |heard: &Heard, partner: Mac| -> HashSet<u32> {
+        let counts = senders(heard, true);
+        let as_often = |n: &usize| 4 * n >= 3 * pairs.len() && 3 * n <= 4 * pairs.len();
+        let is_robot = |mac: &Mac| *mac != partner && counts.get(mac).is_some_and(as_often);
+        let others = heard.records.iter().filter(|record| is_robot(&record.mac));
+        let numbers: HashSet<u32> = others.filter_map(|record| record.number).collect();
+        let is_there = |number: Option<u32>| number.is_some_and(|number| numbers.contains(&number));
+        let shared = pairs.iter().filter(|(record, _)| is_there(record.number)).count();
+        if 2 * shared > pairs.len() { HashSet::new() } else { numbers }
+    };
+    let (by_near, by_far) = (elsewhere(near, of_far), elsewhere(far, of_near));
+    let frames = [
+        heard_by_near.iter().filter(|number| !by_far.contains(number)).count(),
+        heard_by_far.keys().filter(|number| !by_near.contains(number)).count(),
+    ];
+    Partners { pairs, frames, refused: None }
 }
 
 fn by_clock<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) -> Partners<'a> {
@@ -488,17 +500,20 @@ fn by_clock<'a>(near: &'a Heard, far: &'a Heard, [of_near, of_far]: [Mac; 2]) ->
 }
 
 impl Pairs {
-    /// Pairs each frame that near heard of far with the frame of the same number that far heard of near. If near heard
-    /// several robots, the one with the most coherent product is used.
+    /// Pairs each frame that near heard of far with the frame of the same number that far heard of near. If one of them heard
+    /// several robots, the two with the most coherent product are used.
     pub(crate) fn of(near: &Heard, far: &Heard, plan: &Plan) -> Self {
         let numbered = [near, far].iter().all(|heard| heard.records.iter().any(|record| record.number.is_some()));
-        let Some(of_near) = plan.macs.map(|macs| macs[0]).or_else(|| most(senders(far, numbered))) else {
-            return Self::default();
-        };
-        let of_far = |mac: &Mac| plan.macs.is_none_or(|macs| macs[1] == *mac);
+        let heard_by_far = senders(far, numbered);
+        let most = heard_by_far.values().copied().max().unwrap_or(0);
+        // Strangers, who are many in a monitor's log, are heard more rarely than the robots.
+        let often = heard_by_far.into_iter().filter(|(_, count)| 2 * count >= most).map(|(mac, _)| mac);
+        let of_near: Vec<Mac> = plan.macs.map_or_else(|| often.collect(), |macs| vec![macs[0]]);
         let pair = if numbered { by_number } else { by_clock };
-        let candidates = senders(near, numbered).into_keys().filter(of_far);
-        let candidates = candidates.map(|of_far| Self::with(pair(near, far, [of_near, of_far]), plan.channel));
+        let of_far = |mac: &Mac| plan.macs.is_none_or(|macs| macs[1] == *mac);
+        let of_far = senders(near, numbered).into_keys().filter(of_far);
+        let both = of_far.flat_map(|of_far| of_near.iter().map(move |of_near| [*of_near, of_far]));
+        let candidates = both.map(|macs| Self::with(pair(near, far, macs), plan.channel));
         let (candidates, refused): (Vec<Self>, Vec<Self>) = candidates.partition(|pairs| pairs.len() > 0);
         if let (true, Some(refused)) =
             (candidates.is_empty(), refused.into_iter().find(|pairs| pairs.refused.is_some()))

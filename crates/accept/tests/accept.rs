@@ -240,6 +240,25 @@ fn answers_that_come_unevenly_judge_no_crystal() {
 }
 
 #[test]
+fn the_order_of_logs_decides_nothing_where_one_card_heard_several_robots() {
+    // The first robot hears more of the third than of the second.
+    let third = "faults.loss = 0.02\n[[robot]]\nname = \"third\"\nposition_m = [2.0, -1.0, 0.3]\ncrystal = { offset_ppm = 4.0 }";
+    let mut room = Room::new(&scene(3, "", "noise.snr_db = 20.0", "", third)).unwrap();
+    let (mut first, mut second) = (room.card(0).unwrap(), room.card(1).unwrap());
+    let heard = collect(&mut first, Some(&mut second), None, resting()).unwrap();
+    let logs = [heard.near.log, heard.far.unwrap().log];
+    for order in [[0, 1], [1, 0]] {
+        let [near, far] = order.map(|card| Heard::of_log(&logs[card]));
+        let mut evidence = Evidence::new(Plan::new("108".parse().unwrap()));
+        (evidence.near, evidence.far) = (near, Some(far));
+        let report = evidence.judge();
+        for id in ["exchange.pairs", "phase.cancels", "phase.sign"] {
+            assert_eq!(finding(&report, id).verdict, Verdict::Holds, "{order:?} {:?}", finding(&report, id));
+        }
+    }
+}
+
+#[test]
 fn a_healthy_pair_fails_no_claim_and_tries_most() {
     let report = judged(&scene(1, "", "noise.snr_db = 25.0", "", ""), "108", 0.0);
     assert!(failed(&report).is_empty(), "{report}");

@@ -87,7 +87,8 @@ pub fn run(args: &Args) -> Result {
     // Options are checked before the file is created.
     let options =
         args.channel.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));
-    let mut recording = Recording::create(draft.path()).map_err(failed)?;
+    let frame = trajectory.as_ref().map_or("odom", Trajectory::frame);
+    let mut recording = Recording::create(draft.path(), frame).map_err(failed)?;
     let (mut written, mut lost) = (0, false);
     let mut row = Row { output: &args.out, logs: Vec::new(), bearings: Vec::new() };
     // The receiver's records and its poses have one clock.
@@ -228,26 +229,29 @@ fn estimate(
 
 /// Directions of a profile.
 const DIRECTIONS: usize = 360;
-/// The trajectory's frame, and the robot's.
-const ODOM: &str = "odom";
+/// The robot's frame.
 const ROBOT: &str = "robot";
 
 /// A recording being written.
-pub struct Recording(McapWriter<BufWriter<File>>);
+pub struct Recording {
+    file: McapWriter<BufWriter<File>>,
+    /// The trajectory's frame.
+    frame: &'static str,
+}
 
 impl Recording {
     /// Begins a file.
-    pub fn create(path: &std::path::Path) -> io::Result<Self> {
-        McapWriter::new(BufWriter::new(File::create(path)?)).map(Self)
+    pub fn create(path: &Path, frame: &'static str) -> io::Result<Self> {
+        Ok(Self { file: McapWriter::new(BufWriter::new(File::create(path)?))?, frame })
     }
 
     /// Ends the file.
     pub fn finish(mut self) -> io::Result<()> {
-        self.0.finish()
+        self.file.finish()
     }
 
     fn put<T: Message>(&mut self, topic: &str, t_s: f64, message: &T) -> io::Result<()> {
-        self.0.put((topic, T::TYPE, T::definition), us(t_s).unsigned_abs().saturating_mul(1_000), &message.payload())
+        self.file.put((topic, T::TYPE, T::definition), us(t_s).unsigned_abs().saturating_mul(1_000), &message.payload())
     }
 
     /// A record of the log `log`, received at `t_s`, seconds since the Unix epoch.
@@ -282,21 +286,29 @@ impl Recording {
     pub fn pose(&mut self, pose: &Pose) -> io::Result<()> {
         let turned = Quaternion::along(pose.heading_rad.unwrap_or(0.0), 0.0);
         self.transform(ROBOT, pose, turned.clone())?;
-        self.put("/pose", pose.t_s, &placed(pose, turned))
+        self.put("/pose", pose.t_s, &self.placed(pose, turned))
     }
 
     fn transform(&mut self, child: &str, place: &Pose, rotation: Quaternion) -> io::Result<()> {
         let [x, y, z] = place.position_m.into();
         let transform = Transform { translation: Vector3 { x, y, z }, rotation };
-        let told = TransformStamped { header: header(place.t_s, ODOM), child_frame_id: child.to_owned(), transform };
+        let told =
+            TransformStamped { header: header(place.t_s, self.frame), child_frame_id: child.to_owned(), transform };
         self.put("/tf", place.t_s, &TfMessage { transforms: vec![told] })
+    }
+
+    fn placed(&self, pose: &Pose, orientation: Quaternion) -> PoseStamped {
+        let position = <[f64; 3]>::from(pose.position_m).into();
+        PoseStamped { header: header(pose.t_s, self.frame), pose: Placed { position, orientation } }
     }
 
     /// The robot's path, as known at `t_s`.
     pub fn path(&mut self, t_s: f64, poses: &[Pose]) -> io::Result<()> {
-        let poses =
-            poses.iter().map(|pose| placed(pose, Quaternion::along(pose.heading_rad.unwrap_or(0.0), 0.0))).collect();
-        self.put("/trajectory", t_s, &PathMessage { header: header(t_s, ODOM), poses })
+        let poses = poses
+            .iter()
+            .map(|pose| self.placed(pose, Quaternion::along(pose.heading_rad.unwrap_or(0.0), 0.0)))
+            .collect();
+        self.put("/trajectory", t_s, &PathMessage { header: header(t_s, self.frame), poses })
     }
 
     /// A bearing, its mirror if it has one, and its profile.
@@ -305,9 +317,9 @@ impl Recording {
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };
         let towards = Quaternion::along(answer.azimuth_rad, answer.signed_elevation_rad.unwrap_or(0.0));
         let scan = profile(link, t_s, bearing).map_err(io::Error::other)?;
-        self.put(&format!("/bearing/{link}"), t_s, &placed(&from, towards.clone()))?;
+        self.put(&format!("/bearing/{link}"), t_s, &self.placed(&from, towards.clone()))?;
         if let Some(mirror_rad) = answer.mirror_rad {
-            let mirror = placed(&from, Quaternion::along(mirror_rad, answer.mirror_elevation_rad.unwrap_or(0.0)));
+            let mirror = self.placed(&from, Quaternion::along(mirror_rad, answer.mirror_elevation_rad.unwrap_or(0.0)));
             self.put(&format!("/mirror/{link}"), t_s, &mirror)?;
         }
         self.transform(&format!("bearing/{link}"), &from, towards)?;
@@ -341,9 +353,4 @@ fn us(t_s: f64) -> i64 {
 
 fn header(t_s: f64, frame: &str) -> Header {
     Header { stamp: Time::from_us(us(t_s)), frame_id: frame.to_owned() }
-}
-
-fn placed(pose: &Pose, orientation: Quaternion) -> PoseStamped {
-    let position = <[f64; 3]>::from(pose.position_m).into();
-    PoseStamped { header: header(pose.t_s, ODOM), pose: Placed { position, orientation } }
 }

@@ -172,6 +172,18 @@ fn a_recording_for_viewers_says_the_mirror_and_its_bearings_are_no_odometry() {
     let bearing = &crate::commands::json(out.trim())["bearings"][0];
     assert!(bearing["mirror_deg"].is_f64() && bearing["azimuth_sd_deg"].is_f64(), "{out}");
     folder.says(&["bearing", "--bag", "o.mcap", "--rx", &rx, "--tx", &tx, "--channel", "108"], 0, &[]);
+    // Error bars are those of the sensor, also from the recording.
+    let bar = |poses: [&str; 2]| {
+        let logs = ["bearing", "--rx", &rx, "--tx", &tx, "--channel", "108", "--json"];
+        folder.rows(&[&logs[..], &poses].concat(), 0)[0]["azimuth_sd_deg"].as_f64().unwrap()
+    };
+    let poses = std::fs::read(folder.0.join(&path)).unwrap();
+    for name in ["vicon.csv", "t265.csv", "wheels.csv", "odom.csv"] {
+        folder.write(name, &poses);
+        folder.says(&["mcap", &rx, "--trajectory", name, "--out", "s.mcap", "--force"], 0, &[]);
+        let [file, bag] = [["--trajectory", name], ["--bag", "s.mcap"]].map(bar);
+        assert!((file - bag).abs() < 0.01 * file, "{name}: {file} {bag}");
+    }
     // The receiver's records are at the times of its poses, whatever its host's clock says.
     let poses = std::fs::read_to_string(folder.0.join(&path)).unwrap().replace("17000000", "17000001");
     folder.write("later.csv", poses.as_bytes());

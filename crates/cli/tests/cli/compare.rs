@@ -160,7 +160,8 @@ fn lab(duration_s: f64) -> Scene {
 fn a_fit_finds_a_simulated_scene_again() {
     let Refitted { recorded, tables, .. } = refitted(&lab(29.0), "again", true, &options());
     check(&tables, &[]);
-    assert!((recorded.link.df_hz + 3.0 * 5_540.0).abs() < 400.0, "3 ppm of 5.54 GHz, not {}", recorded.link.df_hz);
+    let df_hz = recorded.link.df_hz.unwrap();
+    assert!((df_hz + 3.0 * 5_540.0).abs() < 400.0, "3 ppm of 5.54 GHz, not {df_hz}");
     let late = recorded.link.groups[0];
     // The scene says 8 % early by 110 +- 45 us; those within 25 us count to the core, those beyond 160 to the next.
     assert!((0.045..0.085).contains(&late.share) && (-125.0..-95.0).contains(&late.mean_us), "{late:?}");
@@ -210,6 +211,23 @@ fn a_fit_finds_the_transmitter_where_nobody_says_where_it_is() {
     let recorded = measure_scene(&still, None, &options()).unwrap();
     let error = fit(&recorded, &only(&path_of(&still)), &options()).unwrap_err();
     assert!(error.to_string().contains("without motion it cannot be found"), "{error}");
+}
+
+#[test]
+fn turn_arounds_without_jitter_show_no_carrier_offset_and_are_equal_in_every_draw() {
+    let measured = |seed| {
+        let mut scene = Scene { seed, ..lab(6.0) };
+        (scene.radio.turn_around, scene.radio.send_jitter_us) = Default::default();
+        measure_scene(&scene, None, &options()).unwrap()
+    };
+    let figures = [1, 2, 3].map(measured);
+    for other in &figures {
+        let table = rows(&figures[0], other);
+        let differing: Vec<_> =
+            table.iter().filter(|row| row.of == "link" && row.verdict == Verdict::Differs).collect();
+        assert!(differing.is_empty() && other.link.df_hz.is_none(), "{:?} {differing:?}", other.link.df_hz);
+        assert!(other.link.turn_around_us.q3 - other.link.turn_around_us.q1 < 2.0, "{:?}", other.link.turn_around_us);
+    }
 }
 
 #[test]

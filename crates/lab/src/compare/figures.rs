@@ -34,8 +34,8 @@ pub struct Figures {
 pub struct LinkFigures {
     /// Pairs formed.
     pub pairs: usize,
-    /// Carrier frequency offset, Hz.
-    pub df_hz: f64,
+    /// Carrier frequency offset, Hz; `None` if the turn-arounds jitter too little to show it.
+    pub df_hz: Option<f64>,
     /// Drift of the transmitter's card clock against the receiver's, parts per million.
     pub drift_ppm: f64,
     /// Host clock of the transmitter minus the receiver's, median over the pairs, seconds; `None` without host times.
@@ -173,18 +173,27 @@ pub fn true_path(room: &Room, robot: usize) -> Result<Trajectory, Failure> {
     room.true_path(robot, TRUTH_HZ).ok_or_else(|| short().into())
 }
 
+/// A tick of the card's clock, microseconds: turn-arounds that jitter by less show no carrier offset.
+const CLOCK_TICK_US: f64 = 1.0;
+
 fn link_figures(report: &CaptureReport, options: &Options) -> Result<LinkFigures, Failure> {
     let found = report.links.first().ok_or(NO_TRANSMITTER)?;
     let why = || found.bearing.as_ref().map_or_else(ToString::to_string, |_| "the logs have nothing in common".into());
     let link = found.link.as_ref().ok_or_else(why)?;
     let (turn_around, course) = link.phases(options);
     let turn = turn_around.ok_or_else(|| format!("{} pairs are too few to measure a link", course.len()))?;
+    // The jitter is against the drift of the carriers; if these are unknown, against that of the clocks.
+    let df_hz = (turn.worthwhile || turn.jitter_median_us >= CLOCK_TICK_US).then_some(turn.df_hz);
+    let drift = df_hz.map_or(turn.df_hz / options.channel.centre_hz() - 1e-6 * turn.drift_ppm, |_| 0.0);
+    let late = |(jitter_us, phase): (&f64, &Phase)| -jitter_us - drift * 1e6 * phase.t_s;
+    let late_us: Vec<f64> = turn.jitter_us.iter().zip(&course).map(late).collect();
+    let middle_us = Distribution::of(&late_us).median;
     let mut figures = LinkFigures {
         pairs: link.pairs(),
-        df_hz: turn.df_hz,
+        df_hz,
         drift_ppm: turn.drift_ppm,
         host_apart_s: link.partner_ahead_s(),
-        late_us: turn.jitter_us.iter().map(|d| -d).collect(),
+        late_us: late_us.iter().map(|late| late - middle_us).collect(),
         spread_before_rad: spread_rad(turn.coherence_before),
         spread_after_rad: spread_rad(turn.coherence_after),
         ..LinkFigures::default()

@@ -174,7 +174,7 @@ fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures, wave
     let missing = 0.5 * (a.spread_after_rad.powi(2) - b.spread_after_rad.powi(2));
     adjusted.phase_noise_rad = (adjusted.phase_noise_rad.powi(2) + missing).max(0.0).sqrt();
     // Before compensation, the carrier offset turns the turn-around's spread into phase.
-    let rad_per_us = TAU * a.df_hz.abs().max(1_000.0) * 1e-6;
+    let rad_per_us = TAU * a.df_hz.unwrap_or_default().abs().max(1_000.0) * 1e-6;
     let missing = (a.spread_before_rad.powi(2) - b.spread_before_rad.powi(2)) / rad_per_us.powi(2);
     let core_us = (adjusted.core_us.powi(2) + missing).max(0.0).sqrt();
     adjusted.core_us = core_us.clamp(0.7 * a.core_us, 1.4 * a.core_us);
@@ -299,7 +299,7 @@ impl Recording<'_> {
         let (rx, tx, link) = (&self.figures.receiver, &self.figures.transmitter, &self.figures.link);
         // Each card's clock is known relative to its host's, and the hosts' relative to each other; the carrier offset measures the
         // difference between the cards more finely.
-        let apart_ppm = 1e6 * link.df_hz / self.channel.centre_hz();
+        let apart_ppm = link.df_hz.map_or(link.drift_ppm, |hz| 1e6 * hz / self.channel.centre_hz());
         let tx_ppm = brief(rx.card_ppm + apart_ppm);
         // The clocks were compared in the middle of the capture; an answer is later on one side than on the other.
         let host_ppm = tx_ppm - tx.card_ppm;
