@@ -53,4 +53,34 @@ fn main() {
             println!("| {robots} robots{name} | {solved}/{runs} | {places} | {yaws} | {rms_m:.3} | {spent_s:.2} |");
         }
     }
+    window();
+}
+
+/// 20 robots with one keyframe per second for a minute, solved every second over the last 10 s: prints the processor time
+/// of a solution as a share of its second.
+fn window() {
+    let hall = Hall { epochs: 60, has_liar: true, ..Hall::of(20) };
+    let (mut last, mut shares, mut held, mut unsolved) = (None, Vec::new(), Held::default(), 0);
+    let own = simulated::followed(hall, 1, &mut |team, epoch| {
+        let begun_s = processor_s();
+        let found = match &last {
+            None if epoch < 4 => return,
+            None => team.solve(),
+            Some(before) => team.solve_from(before),
+        };
+        // In the first seconds the measurements may not determine a robot.
+        let Ok(found) = found else {
+            unsolved += 1;
+            return;
+        };
+        team.forget(&found, epoch as f64 - 10.0);
+        shares.push(100.0 * (processor_s() - begun_s));
+        last = Some(found);
+    });
+    own.judge(last.as_ref().unwrap(), &mut held);
+    shares.sort_by(f64::total_cmp);
+    let (middle, most, rms_m) = (shares[shares.len() / 2], shares[shares.len() - 1], held.rms_m());
+    println!(
+        "20 robots at 1 Hz: {middle:.0} % of each second in the median, {most:.0} % at most; places after a minute {rms_m:.3} m rms; {unsolved} seconds unsolved"
+    );
 }

@@ -41,7 +41,7 @@ pub fn json(team: &Team, found: &Solution) -> String {
 pub fn g2o(team: &Team, found: &Solution) -> String {
     let mut text = String::new();
     let weight = |sd: f64| 1.0 / (sd * sd);
-    for (k, own) in team.keyframes.iter().enumerate() {
+    for (k, own) in team.keyframes.iter().enumerate().filter(|(_, own)| !own.is_past) {
         let [x, y, yaw] = found.pose(KeyframeId(k));
         let name = &team.robots[own.robot].name;
         let _ = writeln!(text, "# {k}: {} at {} s", name.escape_debug(), own.t_s);

@@ -1,5 +1,6 @@
 //! The graph: robots, keyframes, and the measurements between them.
 
+use crate::solve::Carried;
 use nalgebra::{Rotation2, Vector2};
 use serde::Serialize;
 use std::f64::consts::TAU;
@@ -109,6 +110,9 @@ pub(crate) struct Keyframe {
     pub t_s: f64,
     /// Pose by the robot's odometry: x, y, yaw.
     pub odometry: [f64; 3],
+    /// True once it is marginalised into [`Carried`].
+    #[serde(skip)]
+    pub is_past: bool,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -155,7 +159,7 @@ pub(crate) struct Change {
 /// Robots, their keyframes, and the measurements between them.
 ///
 /// Call order: add robots, then each robot's keyframes in time order, then measurements between keyframes; then call
-/// [`Team::solve`].
+/// [`Team::solve`]. After more additions, [`Team::solve_from`] continues from the last solution.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Team {
     pub(crate) robots: Vec<Robot>,
@@ -164,6 +168,8 @@ pub struct Team {
     pub(crate) steps: Vec<Step>,
     pub(crate) links: Vec<Link>,
     pub(crate) changes: Vec<Change>,
+    #[serde(skip)]
+    pub(crate) carried: Option<Carried>,
 }
 
 type Checked<T = ()> = Result<T, TeamError>;
@@ -245,7 +251,7 @@ impl Team {
             }
             self.steps.push(step(last, id, before.odometry, odometry, driven_m, &own.noise));
         }
-        self.keyframes.push(Keyframe { robot: robot.0, t_s, odometry });
+        self.keyframes.push(Keyframe { robot: robot.0, t_s, odometry, is_past: false });
         Ok(KeyframeId(id))
     }
 
@@ -331,9 +337,9 @@ impl Team {
         Ok(())
     }
 
-    /// The robot of a keyframe.
+    /// The robot of a keyframe that has not been marginalised.
     fn check(&self, id: KeyframeId) -> Checked<usize> {
-        let own = self.keyframes.get(id.0);
+        let own = self.keyframes.get(id.0).filter(|own| !own.is_past);
         own.map(|own| own.robot).ok_or_else(|| refused(format!("the team has no keyframe {}", id.0)))
     }
 
@@ -345,6 +351,7 @@ impl Team {
     /// True for a robot with steps: it has a bias and a scale.
     pub(crate) fn is_moving(&self, robot: usize) -> bool {
         self.steps.iter().any(|step| self.keyframes[step.to].robot == robot)
+            || self.carried.as_ref().is_some_and(|carried| carried.has_calibration(robot))
     }
 }
 

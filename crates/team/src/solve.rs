@@ -3,7 +3,7 @@
 use crate::graph::{Change, KeyframeId, Link, NEAREST_M, Prior, RobotId, Step, Team, TeamError, empty, nearness};
 use crate::start::{COSTLIER, again, starts};
 use crate::wrap;
-use nalgebra::Matrix3;
+use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Factors on all deviations in successive descents, so that a link far from its candidates still pulls. The factor applies
 /// to odometry too, so the balance between them stays the same.
@@ -21,8 +21,8 @@ const LIARS: f64 = 0.05;
 /// Limit of minima at which outlier shares are learnt.
 const SETTLED: usize = 4;
 
-/// Limit of other places tried for robots: those where the robots' links cost least.
-const TRIED: usize = 6;
+/// Limit of other places tried for robots, in a first solution and in later ones; the robots' links cost least there.
+const TRIED: [usize; 2] = [6, 2];
 
 /// After a gain of more than this in cost, the remaining places are computed anew, at most so often.
 const GAIN: f64 = 5.0;
@@ -65,6 +65,13 @@ enum Variable {
 }
 
 impl State {
+    fn get(&self, variable: Variable) -> f64 {
+        match variable {
+            Variable::Pose(keyframe, k) => self.poses[keyframe][k],
+            Variable::Calibration(robot, k) => self.calibrations[robot][k],
+        }
+    }
+
     fn get_mut(&mut self, variable: Variable) -> &mut f64 {
         match variable {
             Variable::Pose(keyframe, k) => &mut self.poses[keyframe][k],
@@ -89,6 +96,22 @@ impl State {
     }
 }
 
+/// Linear prior from marginalised keyframes on the remaining variables, about the point `at`.
+#[derive(Clone, Debug)]
+pub(crate) struct Carried {
+    variables: Vec<Variable>,
+    at: Vec<f64>,
+    /// Residuals are `rows * (x - at) + side`.
+    rows: DMatrix<f64>,
+    side: DVector<f64>,
+}
+
+impl Carried {
+    pub fn has_calibration(&self, robot: usize) -> bool {
+        self.variables.contains(&Variable::Calibration(robot, 0))
+    }
+}
+
 /// Order of the variables: moving robots' keyframes in time order, then standing ones, then calibrations.
 #[derive(Clone, Debug)]
 struct Layout {
@@ -100,7 +123,7 @@ struct Layout {
 impl Layout {
     fn new(team: &Team) -> Self {
         let moving: Vec<bool> = (0..team.robots.len()).map(|robot| team.is_moving(robot)).collect();
-        let mut order: Vec<usize> = (0..team.keyframes.len()).collect();
+        let mut order: Vec<usize> = (0..team.keyframes.len()).filter(|k| !team.keyframes[*k].is_past).collect();
         let key = |k: &usize| (!moving[team.keyframes[*k].robot], team.keyframes[*k].t_s);
         order.sort_by(|a, b| key(a).0.cmp(&key(b).0).then(key(a).1.total_cmp(&key(b).1)));
         let mut layout = Self {
@@ -139,12 +162,13 @@ impl Layout {
             let first = self.calibrations[team.keyframes[k].robot];
             first.into_iter().flat_map(|first| first..first + 2)
         };
-        (0..team.keyframes.len()).for_each(|k| group(&mut pose(k)));
+        (0..team.keyframes.len()).filter(|k| !team.keyframes[*k].is_past).for_each(|k| group(&mut pose(k)));
         self.calibrations.iter().flatten().for_each(|first| group(&mut (*first..first + 2)));
         team.steps.iter().for_each(|s| group(&mut pose(s.from).chain(pose(s.to)).chain(calibration(s.to))));
         team.links.iter().for_each(|link| group(&mut pose(link.from).chain(pose(link.to))));
         let ends = |change: &Change| [change.first, change.second].concat();
         team.changes.iter().for_each(|change| group(&mut ends(change).into_iter().flat_map(pose)));
+        team.carried.iter().for_each(|carried| group(&mut carried.variables.iter().map(|own| self.index(*own))));
         Envelope::zeros(first)
     }
 }
@@ -282,42 +306,61 @@ fn gradient_of_range(state: &State, ends: [usize; 2], factor: f64) -> ([Entry; 4
     (along_line(ends, factor * x / range_m.max(1e-9), factor * y / range_m.max(1e-9)), range_m)
 }
 
+/// Selects measurements by their keyframes.
+type Wanted<'a> = &'a dyn Fn(&[usize]) -> bool;
+
 impl<'a> Problem<'a> {
     fn new(team: &'a Team) -> Self {
         let (layout, null_shares) = (Layout::new(team), team.links.iter().map(|link| link.null_share).collect());
         Self { team, zeros: layout.envelope(team), layout, null_shares }
     }
 
-    /// The cost of the measurements at a state: half of the squared residuals plus the constants of the candidates'
+    /// The cost of the `wanted` measurements at a state: half of the squared residuals plus the constants of the candidates'
     /// densities. `rows` receives each residual.
-    fn visit(&self, state: &State, temper: f64, rows: &mut Rows<'_>) -> f64 {
+    fn visit(&self, state: &State, temper: f64, wanted: Wanted<'_>, rows: &mut Rows<'_>) -> f64 {
         let mut cost = 0.0;
         let mut add = tempered(temper, &mut cost, rows);
-        for prior in &self.team.priors {
+        for prior in self.team.priors.iter().filter(|prior| wanted(&[prior.keyframe])) {
             for k in 0..self.team.pose_size(prior.keyframe) {
                 let Some(sd) = prior.sd[k] else { continue };
                 let off = state.poses[prior.keyframe][k] - prior.pose[k];
                 add(if k == 2 { wrap(off) } else { off } / sd, &[(Variable::Pose(prior.keyframe, k), 1.0 / sd)]);
             }
         }
-        self.team.steps.iter().for_each(|s| self.step(state, s, &mut add));
-        for change in &self.team.changes {
+        self.team.steps.iter().filter(|s| wanted(&[s.from, s.to])).for_each(|s| self.step(state, s, &mut add));
+        for change in self.team.changes.iter().filter(|c| wanted(&[c.first, c.second].concat())) {
             let (first, first_m) = gradient_of_range(state, change.first, -1.0 / change.sd_m);
             let (second, second_m) = gradient_of_range(state, change.second, 1.0 / change.sd_m);
             add((second_m - first_m - change.change_m) / change.sd_m, &[first, second].concat());
         }
         drop(add);
-        cost + self.links(state, temper, rows)
+        cost + self.links(state, temper, wanted, rows)
     }
 
-    /// The cost of the calibrations' priors.
-    fn calibrations(&self, state: &State, temper: f64, rows: &mut Rows<'_>) -> f64 {
+    /// The cost of the calibrations' priors and of the marginalised keyframes. Neither belongs to a keyframe.
+    fn shared(&self, state: &State, temper: f64, rows: &mut Rows<'_>) -> f64 {
         let mut cost = 0.0;
         let mut add = tempered(temper, &mut cost, rows);
+        let carried = self.team.carried.as_ref();
         for robot in (0..self.team.robots.len()).filter(|robot| self.layout.calibrations[*robot].is_some()) {
+            if carried.is_some_and(|carried| carried.has_calibration(robot)) {
+                continue;
+            }
             let noise = &self.team.robots[robot].noise;
             for (k, sd) in [noise.bias_sd_rad_per_m, noise.scale_sd].into_iter().enumerate() {
                 add(state.calibrations[robot][k] / sd, &[(Variable::Calibration(robot, k), 1.0 / sd)]);
+            }
+        }
+        if let Some(own) = carried {
+            let off = own.variables.iter().zip(&own.at).map(|(variable, at)| {
+                let off = state.get(*variable) - at;
+                if matches!(variable, Variable::Pose(_, 2)) { wrap(off) } else { off }
+            });
+            let residuals = &own.rows * DVector::from_iterator(own.at.len(), off) + &own.side;
+            for (row, residual) in residuals.iter().enumerate() {
+                let by = own.rows.row(row);
+                let entries: Vec<Entry> = own.variables.iter().copied().zip(by.iter().copied()).collect();
+                add(*residual, &entries);
             }
         }
         drop(add);
@@ -356,9 +399,12 @@ impl<'a> Problem<'a> {
         add(off, &[(Pose(step.from, 2), -by), (Pose(step.to, 2), by), (Calibration(robot, 0), -step.driven_m * by)]);
     }
 
-    fn links(&self, state: &State, temper: f64, rows: &mut Rows<'_>) -> f64 {
+    fn links(&self, state: &State, temper: f64, wanted: Wanted<'_>, rows: &mut Rows<'_>) -> f64 {
         let mut cost = 0.0;
         for (link, null_share) in self.team.links.iter().zip(&self.null_shares) {
+            if !wanted(&[link.from, link.to]) {
+                continue;
+            }
             let (chosen, own) = state.best(link, *null_share, temper);
             cost += own;
             let Some(mode) = chosen.map(|k| link.modes[k]) else { continue };
@@ -388,7 +434,7 @@ impl<'a> Problem<'a> {
     }
 
     fn cost(&self, state: &State, temper: f64) -> f64 {
-        self.visit(state, temper, &mut |_, _| {}) + self.calibrations(state, temper, &mut |_, _| {})
+        self.visit(state, temper, &|_| true, &mut |_, _| {}) + self.shared(state, temper, &mut |_, _| {})
     }
 
     /// The normal matrix and the gradient at a state.
@@ -403,8 +449,8 @@ impl<'a> Problem<'a> {
                 }
             }
         };
-        self.visit(state, temper, &mut add);
-        self.calibrations(state, temper, &mut add);
+        self.visit(state, temper, &|_| true, &mut add);
+        self.shared(state, temper, &mut add);
         (matrix, side)
     }
 
@@ -531,16 +577,20 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Tries other places for each robot among the others, and adds the minima found.
-    fn place_again(&mut self, settled: &mut Vec<Settled>) {
-        for _ in 0..ROUNDS {
+    /// Tries other places for each robot among the others, and adds the minima found. With `is_suspect_only`, for robots with
+    /// more outliers than other links.
+    fn place_again(&mut self, settled: &mut Vec<Settled>, is_suspect_only: bool) {
+        let tried = TRIED[usize::from(is_suspect_only)];
+        let rounds = if is_suspect_only { 1 } else { ROUNDS };
+        for _ in 0..rounds {
             let Some(best) = settled.first() else { return };
             let (cost, null_shares) = (best.cost, best.null_shares.clone());
-            let again = |robot| again(self.team, &best.state, &null_shares, robot);
-            let mut states: Vec<(f64, State)> = (0..self.team.robots.len()).flat_map(again).collect();
+            let robots = (0..self.team.robots.len()).filter(|robot| !is_suspect_only || self.is_suspect(best, *robot));
+            let mut states: Vec<(f64, State)> =
+                robots.flat_map(|robot| again(self.team, &best.state, &null_shares, robot)).collect();
             states.sort_by(|a, b| a.0.total_cmp(&b.0));
             let mut lowest = cost;
-            for (_, state) in states.into_iter().take(TRIED) {
+            for (_, state) in states.into_iter().take(tried) {
                 if lowest < cost - GAIN {
                     break;
                 }
@@ -558,6 +608,58 @@ impl<'a> Problem<'a> {
                 return;
             }
         }
+    }
+
+    /// True if most links to and from a robot are outliers, without those of switched-off robots.
+    fn is_suspect(&self, at: &Settled, robot: usize) -> bool {
+        let (mut links, mut outliers) = (0, 0);
+        for (link, null_share) in self.team.links.iter().zip(&at.null_shares) {
+            let ends = [link.from, link.to].map(|k| self.team.keyframes[k].robot);
+            if *null_share < 1.0 && ends.contains(&robot) {
+                links += 1;
+                outliers += usize::from(at.state.best(link, *null_share, 1.0).0.is_none());
+            }
+        }
+        2 * outliers > links
+    }
+
+    /// The linear prior that the measurements of old keyframes leave on the other variables.
+    fn carry(&self, state: &State, touches: Wanted<'_>, old: &[usize]) -> Carried {
+        let n = self.layout.variables.len();
+        let (mut matrix, mut side) = (DMatrix::<f64>::zeros(n, n), DVector::<f64>::zeros(n));
+        let mut add = |residual: f64, entries: &[Entry]| {
+            for (variable, by) in entries {
+                let row = self.layout.index(*variable);
+                side[row] += by * residual;
+                entries.iter().for_each(|(other, factor)| matrix[(row, self.layout.index(*other))] += by * factor);
+            }
+        };
+        self.visit(state, 1.0, touches, &mut add);
+        self.shared(state, 1.0, &mut add);
+        let is_old = |k: &usize| matches!(self.layout.variables[*k], Variable::Pose(keyframe, _) if old.binary_search(&keyframe).is_ok());
+        let (gone, stay): (Vec<usize>, Vec<usize>) = (0..n).filter(|k| matrix[(*k, *k)] > 0.0).partition(is_old);
+        let part = |rows: &[usize], columns: &[usize]| {
+            DMatrix::from_fn(rows.len(), columns.len(), |row, column| matrix[(rows[row], columns[column])])
+        };
+        let of = |rows: &[usize]| DVector::from_iterator(rows.len(), rows.iter().map(|row| side[*row]));
+        let mut inner = part(&gone, &gone);
+        (0..gone.len()).for_each(|k| inner[(k, k)] *= 1.0 + 1e-12);
+        let cross = part(&stay, &gone);
+        let inverse = inner.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(gone.len(), gone.len()));
+        let rest = part(&stay, &stay) - &cross * &inverse * cross.transpose();
+        let gradient = of(&stay) - &cross * inverse * of(&gone);
+        let own = (0.5 * (&rest + rest.transpose())).symmetric_eigen();
+        let least = 1e-12 * own.eigenvalues.max();
+        let kept: Vec<usize> = (0..stay.len()).filter(|k| own.eigenvalues[*k] > least).collect();
+        let root = |k: usize| own.eigenvalues[k].sqrt();
+        let rows = DMatrix::from_fn(kept.len(), stay.len(), |row, column| {
+            root(kept[row]) * own.eigenvectors[(column, kept[row])]
+        });
+        let along = kept.iter().map(|k| own.eigenvectors.column(*k).dot(&gradient) / root(*k));
+        let side = DVector::from_iterator(kept.len(), along);
+        let variables: Vec<Variable> = stay.iter().map(|k| self.layout.variables[*k]).collect();
+        let at = variables.iter().map(|variable| state.get(*variable)).collect();
+        Carried { variables, at, rows, side }
     }
 }
 
@@ -617,12 +719,12 @@ impl Solution {
     }
 
     /// Marginal covariance of a keyframe's pose (x, y, yaw) in the problem linearised at the solution; it does not cover
-    /// `others`. Zero for the yaw of a point; NaN for one added after the solution.
+    /// `others`. Zero for the yaw of a point, and for a forgotten keyframe; NaN for one added after the solution.
     #[must_use]
     pub fn covariance(&self, keyframe: KeyframeId) -> Matrix3<f64> {
         let mut covariance = Matrix3::zeros();
         let Some(at) = self.layout.poses.get(keyframe.0).copied() else { return Matrix3::from_element(f64::NAN) };
-        let own = |k: usize| self.layout.variables.get(at + k) == Some(&Variable::Pose(keyframe.0, k));
+        let own = |k: usize| self.layout.variables.get(at.saturating_add(k)) == Some(&Variable::Pose(keyframe.0, k));
         for column in (0..3).filter(|k| own(*k)) {
             let mut side = vec![0.0; self.layout.variables.len()];
             side[at + column] = 1.0;
@@ -640,19 +742,33 @@ impl Team {
     /// # Errors
     /// [`TeamError`] if there is no keyframe, a robot has no link, or the measurements do not determine a robot.
     pub fn solve(&self) -> Result<Solution, TeamError> {
+        self.solve_all(None)
+    }
+
+    /// As [`Team::solve`], but starts from an earlier solution. New robots are placed as in [`Team::solve`].
+    ///
+    /// # Errors
+    /// As [`Team::solve`].
+    pub fn solve_from(&self, before: &Solution) -> Result<Solution, TeamError> {
+        self.solve_all(Some(before))
+    }
+
+    fn solve_all(&self, before: Option<&Solution>) -> Result<Solution, TeamError> {
         if self.keyframes.is_empty() {
             return Err(empty());
         }
         let (mut team, mut gauge) = (std::borrow::Cow::Borrowed(self), None);
-        if self.priors.is_empty() {
+        if self.priors.is_empty() && self.carried.is_none() {
             let first = Prior { keyframe: 0, pose: self.keyframes[0].odometry, sd: [Some(GAUGE_SD); 3] };
             gauge = Some(first);
             team.to_mut().priors.push(first);
         }
         let mut problem = Problem::new(&team);
-        let mut solved: Vec<(State, f64)> = starts(&team)?.into_iter().map(|state| (state, 0.0)).collect();
-        for temper in TEMPERS {
-            solved = solved.into_iter().map(|(state, _)| problem.descend(state, temper, ROUGHLY)).collect();
+        let tempers = if before.is_some() { &TEMPERS[2..] } else { &TEMPERS[..] };
+        let begun = starts(&team, before.map(|own| &own.state))?;
+        let mut solved: Vec<(State, f64)> = begun.into_iter().map(|state| (state, 0.0)).collect();
+        for temper in tempers {
+            solved = solved.into_iter().map(|(state, _)| problem.descend(state, *temper, ROUGHLY)).collect();
             solved.sort_by(|a, b| a.1.total_cmp(&b.1));
             // Merges descents that reached the same minimum.
             solved.dedup_by(|a, b| (a.1 - b.1).abs() < NEAR[1] && a.0.is_near(&b.0));
@@ -662,8 +778,8 @@ impl Team {
         solved.truncate(SETTLED);
         let mut settled: Vec<Settled> = solved.iter().map(|(state, _)| problem.settle(state)).collect();
         settled.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        problem.place_again(&mut settled);
-        if let Some(best) = settled.first_mut() {
+        problem.place_again(&mut settled, before.is_some());
+        if let (Some(best), None) = (settled.first_mut(), before) {
             problem.kick(best);
         }
         let mut rest = settled.into_iter();
@@ -695,7 +811,8 @@ impl Team {
     /// True if the state differs from the solution, and from each of its `others`, in a keyframe's position.
     fn is_another(&self, found: &Solution, state: &State) -> bool {
         let far = |poses: &[[f64; 3]]| {
-            (0..self.keyframes.len()).any(|k| {
+            let alive = (0..self.keyframes.len()).filter(|k| !self.keyframes[*k].is_past);
+            alive.into_iter().any(|k| {
                 let off = nalgebra::Vector2::new(state.poses[k][0] - poses[k][0], state.poses[k][1] - poses[k][1]);
                 let inverse = || found.covariance(KeyframeId(k)).fixed_view::<2, 2>(0, 0).try_inverse();
                 off.norm() > APART_M && inverse().is_none_or(|inverse| off.dot(&(inverse * off)) > 9.0)
@@ -703,13 +820,38 @@ impl Team {
         };
         far(&found.state.poses) && found.others.iter().all(|other| far(&other.poses))
     }
+
+    /// Marginalises keyframes before `before_s`, seconds, with their measurements: a Schur complement at the solution replaces
+    /// them by one linear term. The last keyframe of each robot stays.
+    pub fn forget(&mut self, solution: &Solution, before_s: f64) {
+        let last = |k: usize| self.keyframes.iter().rposition(|own| own.robot == self.keyframes[k].robot) == Some(k);
+        let is_old = |k: &usize| self.keyframes[*k].t_s < before_s && !self.keyframes[*k].is_past && !last(*k);
+        let old: Vec<usize> = (0..self.keyframes.len()).filter(is_old).collect();
+        if old.is_empty() {
+            return;
+        }
+        let touches = |keyframes: &[usize]| keyframes.iter().any(|k| old.binary_search(k).is_ok());
+        if let (Some(gauge), true) = (solution.gauge, self.priors.is_empty()) {
+            self.priors.push(gauge);
+        }
+        let carried = {
+            let mut problem = Problem::new(self);
+            problem.null_shares.iter_mut().zip(&solution.null_shares).for_each(|(own, learnt)| *own = *learnt);
+            problem.carry(&solution.state, &touches, &old)
+        };
+        self.carried = Some(carried);
+        self.priors.retain(|own| !touches(&[own.keyframe]));
+        self.steps.retain(|own| !touches(&[own.from, own.to]));
+        self.links.retain(|own| !touches(&[own.from, own.to]));
+        self.changes.retain(|own| !touches(&[own.first, own.second].concat()));
+        old.iter().for_each(|k| self.keyframes[*k].is_past = true);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{Mode, OdometryNoise};
-    use nalgebra::{DMatrix, DVector};
 
     #[test]
     fn the_gradient_agrees_with_finite_differences_of_the_cost() {

@@ -1,6 +1,6 @@
 //! Initial states: places one robot after another where its links to placed robots cross.
 
-use crate::graph::{Keyframe, Link, Mode, Prior, Team, TeamError};
+use crate::graph::{Link, Mode, Prior, Team, TeamError};
 use crate::solve::State;
 use nalgebra::{Rotation2, Vector2};
 use std::f64::consts::{PI, TAU};
@@ -55,9 +55,9 @@ fn direction(angle_rad: f64) -> Vector2<f64> {
     Vector2::new(angle_rad.cos(), angle_rad.sin())
 }
 
-/// Initial states.
-pub fn starts(team: &Team) -> Result<Vec<State>, TeamError> {
-    let frames: Vec<Option<Frame>> = (0..team.robots.len()).map(|robot| known_frame(team, robot)).collect();
+/// Initial states. Robots in `before` keep their poses.
+pub fn starts(team: &Team, before: Option<&State>) -> Result<Vec<State>, TeamError> {
+    let frames: Vec<Option<Frame>> = (0..team.robots.len()).map(|robot| known_frame(team, before, robot)).collect();
     let mut kept = vec![Arrangement { frames, cost: 0.0 }];
     if kept[0].frames.iter().all(Option::is_none) {
         // No prior fixes a whole pose: the first robot's odometry defines the frame.
@@ -66,26 +66,34 @@ pub fn starts(team: &Team) -> Result<Vec<State>, TeamError> {
     while let Some(robot) = next(team, &kept[0].frames)? {
         kept = placed(team, &kept, robot);
     }
-    Ok(kept.into_iter().map(|own| state(team, &own.frames)).collect())
+    Ok(kept.into_iter().map(|own| state(team, &own.frames, before)).collect())
 }
 
-/// The frame of a robot from a prior.
-fn known_frame(team: &Team, robot: usize) -> Option<Frame> {
-    let fixes = |prior: &&Prior| {
-        let [x, y, yaw] = prior.sd;
-        let is_placed = [x, y].into_iter().all(|sd| sd.is_some_and(|sd| sd < VAGUE_M));
-        let is_own = team.keyframes[prior.keyframe].robot == robot;
-        is_own && is_placed && (yaw.is_some() || !team.robots[robot].has_heading)
+/// The frame of a robot from an earlier solution or a prior.
+fn known_frame(team: &Team, before: Option<&State>, robot: usize) -> Option<Frame> {
+    let own = |k: &usize| team.keyframes[*k].robot == robot;
+    let solved = before.and_then(|before| (0..before.poses.len()).rev().find(own).map(|k| (k, before.poses[k])));
+    let by_prior = || {
+        let fixes = |prior: &&Prior| {
+            let [x, y, yaw] = prior.sd;
+            let is_placed = [x, y].into_iter().all(|sd| sd.is_some_and(|sd| sd < VAGUE_M));
+            own(&prior.keyframe) && is_placed && (yaw.is_some() || !team.robots[robot].has_heading)
+        };
+        team.priors.iter().find(fixes).map(|prior| (prior.keyframe, prior.pose))
     };
-    let prior = team.priors.iter().find(fixes)?;
-    Some(frame_by(prior.pose, team.keyframes[prior.keyframe].odometry))
+    solved.or_else(by_prior).map(|(k, pose)| frame_by(pose, team.keyframes[k].odometry))
 }
 
-/// Poses from the frames.
-fn state(team: &Team, frames: &[Option<Frame>]) -> State {
-    let pose = |own: &Keyframe| composed(frames[own.robot].unwrap_or_default(), own.odometry);
-    let poses = team.keyframes.iter().map(pose).collect();
-    State { poses, calibrations: vec![[0.0; 2]; team.robots.len()] }
+/// Poses from the frames, or from `before` where it has them.
+fn state(team: &Team, frames: &[Option<Frame>], before: Option<&State>) -> State {
+    let pose = |k: usize| {
+        let known = before.and_then(|before| before.poses.get(k)).copied();
+        let own = &team.keyframes[k];
+        known.unwrap_or_else(|| composed(frames[own.robot].unwrap_or_default(), own.odometry))
+    };
+    let mut calibrations = before.map(|before| before.calibrations.clone()).unwrap_or_default();
+    calibrations.resize(team.robots.len(), [0.0; 2]);
+    State { poses: (0..team.keyframes.len()).map(pose).collect(), calibrations }
 }
 
 /// The unplaced robot with the most links to placed ones.

@@ -4,7 +4,7 @@
 mod simulated;
 
 use csi5300_team::{Mode, OdometryNoise, Team, TeamError, factors};
-use simulated::{Hall, Held, Random, simulated};
+use simulated::{Hall, Held, Random, simulated, wrap};
 
 /// Asserts that 68.3 and 95.4 % of the poses of all halls are within one and two deviations, with a tolerance of 10 percentage
 /// points for the few runs. docs/method/team.md has more runs.
@@ -71,6 +71,24 @@ fn a_robot_with_random_bearings_is_switched_off() {
     let own = simulated(Hall { has_liar: true, ..Hall::of(5) }, 7);
     let shares = own.team.solve().unwrap().outlier_shares;
     assert!(shares[4] > 0.7 && shares[..4].iter().all(|share| *share < 0.35), "{shares:?}");
+}
+
+#[test]
+fn a_window_gives_the_same_poses_and_covariances_as_the_whole_graph() {
+    let own = simulated(Hall { wrong: 0.0, mirrored: 0.0, ..Hall::of(3) }, 3);
+    let all = own.team.solve().unwrap();
+    let mut window = own.team.clone();
+    window.forget(&all, 24.0);
+    let rest = window.solve_from(&all).unwrap();
+    for robot in &own.keyframes {
+        let last = *robot.last().unwrap();
+        let (a, b) = (all.pose(last), rest.pose(last));
+        assert!((0..3).all(|k| wrap(a[k] - b[k]).abs() < 1e-3), "{a:?} {b:?}");
+        let (a, b) = (all.covariance(last), rest.covariance(last));
+        assert!((a - b).norm() < 0.02 * a.norm(), "{a} {b}");
+        assert_eq!(rest.covariance(robot[0]), nalgebra::Matrix3::zeros());
+    }
+    assert!(window.link(own.keyframes[0][0], own.keyframes[1][29], &[Mode::range(1.0, 0.1, 1.0)], 0.1).is_err());
 }
 
 #[test]

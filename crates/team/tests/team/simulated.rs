@@ -117,6 +117,11 @@ pub fn wrap(angle: f64) -> f64 {
 
 /// Simulates a team.
 pub fn simulated(hall: Hall, seed: u64) -> Simulated {
+    followed(hall, seed, &mut |_, _| {})
+}
+
+/// As [`simulated`], and calls `look` after each second.
+pub fn followed(hall: Hall, seed: u64, look: &mut dyn FnMut(&mut Team, usize)) -> Simulated {
     let mut random = Random::of_seed(seed);
     let (noise, side_m) = (OdometryNoise::default(), 3.0 + 3.0 * (hall.robots as f64).sqrt());
     let (mut team, mut truth) = (Team::default(), Vec::new());
@@ -149,6 +154,7 @@ pub fn simulated(hall: Hall, seed: u64) -> Simulated {
                 }
             }
         }
+        look(&mut team, epoch);
     }
     let origin = if hall.anchors > 0 { [0.0; 3] } else { truth[0] };
     Simulated { team, origin, truth, keyframes }
