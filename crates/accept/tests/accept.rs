@@ -60,7 +60,7 @@ const OF_CARD: [(CardFault, &[&str]); 30] = [
     (CardFault::ClockFast, &["exchange.drift", "phase.cancels"]),
     (CardFault::ClockSteps, &["card.clock", "exchange.late", "exchange.turn_around"]),
     // Poses and frames no longer belong together.
-    (CardFault::HostClockSteps, &["host.clock", "truth.bearing"]),
+    (CardFault::HostClockSteps, &["host.clock"]),
     (CardFault::NumberRepeated, &["reception.once"]),
     (CardFault::OtherSender, &["exchange.pairs"]),
     (CardFault::LegacyRate, &["reception.rate"]),
