@@ -798,6 +798,8 @@ fn captures_without_a_truth_are_explained_located_and_shown() {
         std::fs::copy(folder.0.join(name("circle", from)), folder.0.join(name("square", to))).unwrap();
     }
     assert_eq!(json(place("tx7=1,2").1.lines().nth(2).unwrap())["error"], unplaced);
+    folder.write("r.csv", format!("time_s,from,to,range_m,sd_m\n{t_s},rx,tx9,3,0.1\n").as_bytes());
+    assert!(asked(&["--ranges", "r.csv"], 1).1.contains("the robots are rx, tx, tx7, and"));
     std::fs::remove_dir_all(folder.0.join("runs/square")).unwrap();
     assert_eq!(place("tx=1").0, 2);
     // One motion has a direction and no range. Another, beside the first, looks past it at a right angle.

@@ -511,10 +511,14 @@ impl Graph {
             }
         }
         match ranges.iter().zip(taken).find(|(_, taken)| !taken) {
-            Some((Range { from, to, time_s, .. }, _)) => Err(words(&format!(
-                "no capture has {from} and {to} at {time_s} s: the robots are rx and {}, and times are those of the trajectory",
-                captures.first().and_then(|capture| capture.transmitters.first()).map_or("tx", |(name, _)| name)
-            ))),
+            Some((Range { from, to, time_s, .. }, _)) => {
+                let names = captures.iter().flat_map(|capture| &capture.transmitters).map(|(name, _)| name.as_str());
+                let robots: BTreeSet<&str> = std::iter::once("rx").chain(names).collect();
+                let robots = Vec::from_iter(robots).join(", ");
+                Err(words(&format!(
+                    "no capture has {from} and {to} at {time_s} s: the robots are {robots}, and times are those of the trajectory"
+                )))
+            }
             None => Ok(found),
         }
     }
