@@ -211,7 +211,7 @@ impl Field {
         self.points.set(points_m, self.wavelength_m);
     }
 
-    /// What a wave from a place leaves, with another amplitude in each of the shortest windows.
+    /// The same channels after a wave from a place is taken out. Its complex amplitude is estimated anew in each of the shortest windows.
     pub fn without(&self, place: &Place) -> Self {
         let (mut rest, mut work) = (self.clone(), Work::new(self.points.x.len(), self.cuts.len()));
         on_tier!(self.level, simd => self.steer(simd, place, &mut work));
@@ -345,16 +345,16 @@ fn way<S: Simd>(simd: S, axes: &Axes, from: usize, towards: [V<S, f32>; 3], curv
     bend / (ratio + one)
 }
 
-/// The same at each of so many window lengths, the longest first.
-fn full_of_each(energy: &[f64], cuts: &[usize], lengths: usize) -> Vec<f64> {
-    (0..lengths).map(|length| full(energy, cuts, 1 << (lengths - 1 - length))).collect()
-}
-
 /// `sum over windows of (samples in it) (energy in it)`: what a wave that explains everything would give.
 fn full(energy: &[f64], cuts: &[usize], blocks: usize) -> f64 {
     let count = cuts.len() - 1;
     let ends = (0..count).step_by(blocks).map(|k| (cuts[k], cuts[(k + blocks).min(count)]));
     ends.map(|(from, to)| (to - from) as f64 * energy[from..to].iter().sum::<f64>()).sum()
+}
+
+/// The same at each of so many window lengths, the longest first.
+fn full_of_each(energy: &[f64], cuts: &[usize], lengths: usize) -> Vec<f64> {
+    (0..lengths).map(|length| full(energy, cuts, 1 << (lengths - 1 - length))).collect()
 }
 
 /// What one place needs for a moment.

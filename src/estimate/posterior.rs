@@ -161,6 +161,7 @@ pub(crate) fn modes(field: &Field, prior: &Prior, steps: &Steps, fine: bool) -> 
     for (rank, &top) in tops.iter().enumerate().take(TOPS).filter(|(rank, _)| *rank != first) {
         let odds = waves.odds(&modes[rank].place);
         let least = odds * modes[first].mass;
+        // Smaller odds are less than the probability that nothing found is right.
         if modes[rank].mass < least && odds > tuning::UNEXPLAINED {
             let local = fine.then(|| coarse.local(top, field, prior, steps));
             let highest = local.iter().flat_map(|local| &local.logs).copied().fold(coarse.logs[top], f64::max);
@@ -173,14 +174,14 @@ pub(crate) fn modes(field: &Field, prior: &Prior, steps: &Steps, fine: bool) -> 
     (evidence, modes)
 }
 
-/// Waves beside the likeliest one. That a wave is there grows ever more certain with more samples; that it is the direct one does not:
-/// reflections are as real.
+/// Waves beside the likeliest one. More samples make it more certain that a wave exists, not that it is the direct one: reflections
+/// exist, too.
 struct Waves<'a> {
     field: &'a Field,
     first: Place,
-    /// What the first one leaves.
+    /// The field without the first one.
     rest: Field,
-    /// What noise alone reaches in the best of all places, in logarithms.
+    /// Log-likelihood that noise alone reaches in the best of all places.
     noise: f64,
 }
 
@@ -189,8 +190,8 @@ impl<'a> Waves<'a> {
         Self { field, first, rest: field.without(&first), noise: (places.max(1) as f64).ln() }
     }
 
-    /// Odds of a wave from a place to be the direct one, over those of the first: as what each explains of what the other leaves, beyond
-    /// noise; 0 where it is no wave of its own.
+    /// Odds, from 0 to just below 1, that a wave from a place is the direct one rather than the first: the ratio of their
+    /// log-likelihoods, each without the other wave and beyond noise. 0 if nothing but noise is left there.
     fn odds(&self, place: &Place) -> f64 {
         let own = self.rest.log_likelihoods(&[*place])[0] - self.noise;
         if own <= 0.0 {

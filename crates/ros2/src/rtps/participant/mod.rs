@@ -1,7 +1,6 @@
 //! A participant: its endpoints, what it sends and when, known participants and matched endpoints.
 
 #[cfg(any(test, feature = "fuzzed"))]
-#[path = "../../../../../fuzz/bodies/rtps.rs"]
 pub mod fuzzed;
 #[cfg(test)]
 mod tests;

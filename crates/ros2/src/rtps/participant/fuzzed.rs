@@ -113,7 +113,7 @@ pub fn run(bytes: &[u8]) {
 }
 
 #[cfg(test)]
-#[path = "../../tests/common/corpus.rs"]
+#[path = "../../../../../tests/common/corpus.rs"]
 mod corpus;
 
 /// What two participants send each other, as input of the target: a writer and its matching reader, samples, some lost
