@@ -38,7 +38,7 @@ fn jobs() -> [Job; 4] {
 fn reference(samples: &Samples, grid: &Grid) -> Vec<f64> {
     let options = ProfileOptions { eps: 1e-13, method: Some(Method::Direct), precision: Some(Precision::Double) };
     let values = Planner::default().profile(samples, grid, &options).expect("a profile").values;
-    let picked: Vec<usize> = (0..200).map(|i| i * (grid.len() - 1) / 199).collect();
+    let picked: Vec<usize> = (0..200).map(|i| i * (values.len() - 1) / 199).collect();
     let list = Grid::directions(picked.iter().map(|i| grid.at(*i)).collect());
     let exact = csi5300::internal::oracle(samples, &list).expect("a profile").values;
     let top = values.iter().copied().fold(0.0, f64::max);

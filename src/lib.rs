@@ -163,6 +163,18 @@ pub use source::log::{Frame, Log};
 /// it, and free to change with any version.
 #[doc(hidden)]
 pub mod internal {
+    use std::sync::{Mutex, MutexGuard, PoisonError};
+
+    /// What a mutex holds, also after a panic of who held it: what these hold is whole between any two steps.
+    pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+        mutex.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// An error in words; nobody tells them apart.
+    pub fn refused(words: impl Into<String>) -> crate::source::Error {
+        crate::source::Error::Backend(words.into().into())
+    }
+
     /// Packets of the OpenCR's protocol.
     pub mod dynamixel {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
@@ -175,6 +187,7 @@ pub mod internal {
     pub use crate::exchange::tdma::roster::before_first_number;
     pub use crate::motion::pose::{Roller, heading_of};
     pub use crate::pipeline::intake::{FrameHeard, Front};
+    pub use crate::pipeline::one_log::ArrayFrame;
     pub use crate::signal::cfo::drift_line;
     pub use crate::source::key_file::{create_key_file, group_text, robot_text};
     pub use crate::source::survey::{LOSSES_KEPT, PAUSE_US, SENDERS_KEPT};

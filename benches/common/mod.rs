@@ -66,10 +66,12 @@ pub fn naive(samples: &Samples, grid: &Grid, from: usize, count: usize) -> f64 {
 /// Milliseconds of the naive loop for a whole grid: a short piece of it (a fifth of a million terms, a few milliseconds,
 /// so that a shared machine has quiet moments for it), the quickest of `rounds`, scaled up.
 pub fn naive_ms(samples: &Samples, grid: &Grid, rounds: usize) -> f64 {
-    let count = (200_000 / samples.len()).clamp(1, grid.len());
-    let from = (grid.len() - count) / 2;
+    let (rows, columns) = grid.shape();
+    let all = rows * columns;
+    let count = (200_000 / samples.len()).clamp(1, all);
+    let from = (all - count) / 2;
     let times = (0..rounds).map(|_| time(|| std::hint::black_box(naive(samples, grid, from, count))));
-    times.fold(f64::INFINITY, f64::min) * grid.len() as f64 / count as f64
+    times.fold(f64::INFINITY, f64::min) * all as f64 / count as f64
 }
 
 /// Milliseconds of one call, on the thread's own clock: what other work on the machine takes does not count.

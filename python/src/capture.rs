@@ -198,6 +198,16 @@ pub fn read_trajectory<'py>(
 /// A link's answer as JSON, the link itself if it has a bearing, and the answers of its stretches as JSON.
 type Linked = (String, Option<Link>, Vec<String>);
 
+/// The keywords of bearings, and the options that they give.
+fn asked(keywords: &str, logs: &str) -> Result<(Keywords, Options), Failure> {
+    let keywords = Keywords::parse(keywords)?;
+    if keywords.channel()?.is_none() {
+        return Err(Failure::new(Kind::Option, format!("channel: required, because the {logs} not contain it")));
+    }
+    let options = Options { keep_course: true, ..keywords.options()? };
+    Ok((keywords, options))
+}
+
 /// The bearings of a capture: one link per transmitter.
 #[pyfunction]
 #[pyo3(signature = (rx, tx, names, path, tx_paths, keywords))]
@@ -210,11 +220,8 @@ pub fn bearings(
     tx_paths: Vec<Option<Bound<'_, PyAny>>>,
     keywords: &str,
 ) -> PyResult<Vec<Linked>> {
-    let keywords = Keywords::parse(keywords)?;
-    if keywords.channel()?.is_none() {
-        return Err(Failure::new(Kind::Option, "channel: required, because the logs do not contain it").into());
-    }
-    let options = Options { keep_course: true, parallel: tx.len() > 1, ..keywords.options()? };
+    let (keywords, options) = asked(keywords, "logs do")?;
+    let options = Options { parallel: tx.len() > 1, ..options };
     let stop = Stop::default();
     let stoppable = |log| PyResult::Ok(Stoppable { source: source(log, &stop)?, stop: stop.clone() });
     let mut receiver = stoppable(rx)?;
@@ -237,8 +244,7 @@ pub fn bearings(
             })?;
             let paths: Vec<_> = (0..report.links.len()).map(trajectory).collect();
             let cut = every_s.map(|every_s| report.in_stretches(&own, &paths, every_s, &options));
-            let mut all = std::iter::once(&own).chain(paths.into_iter().flatten());
-            let parted = all.find_map(|path| report.receiver.survey.clocks_part(path, &options));
+            let parted = report.clocks_part(std::iter::once(&own).chain(paths.into_iter().flatten()), &options);
             Ok((report, cut.unwrap_or_default(), options, parted))
         })
     })?;
@@ -265,11 +271,7 @@ pub fn one_log(
     baselines: Vec<Vec<f64>>,
     keywords: &str,
 ) -> PyResult<Vec<Linked>> {
-    let keywords = Keywords::parse(keywords)?;
-    if keywords.channel()?.is_none() {
-        return Err(Failure::new(Kind::Option, "channel: required, because the log does not contain it").into());
-    }
-    let options = Options { keep_course: true, ..keywords.options()? };
+    let (keywords, options) = asked(keywords, "log does")?;
     let array = array(letters, &baselines)?;
     let array = if keywords.antenna_offset.is_some() { array.on_trajectory() } else { array };
     let stop = Stop::default();
@@ -278,7 +280,7 @@ pub fn one_log(
     let (report, options, parted) = interruptible(py, &stop, move || {
         let report = estimate_one_log(&mut log, &own, &array, &options);
         let report = report.map_err(|error| Failure::new(Kind::Capture, error))?;
-        let parted = report.log.survey.clocks_part(&own, &options);
+        let parted = report.clocks_part([&own], &options);
         Ok((report, options, parted))
     })?;
     parted.map_or(Ok(()), |words| warn(py, &words))?;
@@ -315,8 +317,7 @@ fn array(letters: &str, baselines: &[Vec<f64>]) -> Result<Array, Failure> {
         let sd_rad = angles.get(1).copied().unwrap_or(0.0).to_radians();
         constants.extend(angles.first().map(|deg| ChainConstant { rad: deg.to_radians(), sd_rad }));
     }
-    let array = Array::new(&antennas, &metres);
-    let array = array.and_then(|array| if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) });
+    let array = Array::new(&antennas, &metres).and_then(|array| array.with_constants(&constants));
     array.map_err(|error| wrong(format!("antennas, baseline: {error}")))
 }
 

@@ -162,15 +162,8 @@ impl Keywords {
     /// # Errors
     /// If the recorded one has no heading.
     pub fn of_antenna(&self, recorded: Trajectory) -> Result<Trajectory, Failure> {
-        let refused = |error| Failure::new(Kind::Trajectory, error);
-        let own = match self.camera() {
-            Some(mount) => recorded.rolling(&mount).map_err(refused)?,
-            None => recorded,
-        };
-        match self.antenna_offset {
-            Some([x, y, z]) => own.with_antenna_offset(Vector3::new(x, y, z)).map_err(refused),
-            None => Ok(own),
-        }
+        let moved = recorded.of_antenna(self.camera(), self.antenna_offset.map(Vector3::from));
+        moved.map_err(|error| Failure::new(Kind::Trajectory, error))
     }
 
     /// Refuses options that apply to single bearings but not to captures with a truth.

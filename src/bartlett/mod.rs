@@ -274,9 +274,7 @@ impl Grid {
     }
 
     /// Number of directions.
-    #[must_use]
-    #[allow(clippy::len_without_is_empty)]
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         match &*self.layout {
             Layout::Rings { azimuths, elevations_rad } => azimuths * elevations_rad.len(),
             Layout::List { directions, .. } => directions.len(),
@@ -295,7 +293,7 @@ impl Grid {
     /// Azimuth and elevation of direction `index`, radians; row by row, azimuth fastest.
     ///
     /// # Panics
-    /// If `index` is not below [`Grid::len`].
+    /// If `index` is not below rows times columns ([`Grid::shape`]).
     #[must_use]
     pub fn at(&self, index: usize) -> (f64, f64) {
         match &*self.layout {

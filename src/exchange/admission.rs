@@ -16,7 +16,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// How long a record waits for another one of its number: a card reports all frames of a turn-around within a few
 /// milliseconds.
-const HOLD: Span = Span::from_ms(20);
+pub(crate) const HOLD: Span = Span::from_ms(20);
 /// A record and its confirmation arrive within this time; numbers of admitted records are kept as long.
 const PATIENCE: Span = Span::from_ms(2_000);
 /// Limit of waiting records of a side, and of kept numbers.
@@ -114,16 +114,10 @@ impl<T> Admission<T> {
         }
     }
 
-    /// The next record to pair, in the order of its log as far as records are confirmed in that order. Call it until it
-    /// returns `None`.
-    pub(crate) fn poll(&mut self, now: Instant) -> Option<(LinkSide, Instant, T)> {
-        self.poll_side(LinkSide::Transmitter, now, HOLD).or_else(|| self.poll_side(LinkSide::Receiver, now, HOLD))
-    }
-
-    /// The same at the end of the input.
-    pub(crate) fn poll_last(&mut self, now: Instant) -> Option<(LinkSide, Instant, T)> {
-        let mut last = |side| self.poll_side(side, now, Span::default());
-        last(LinkSide::Transmitter).or_else(|| last(LinkSide::Receiver))
+    /// The next record to pair, in the order of its log as far as records are confirmed in that order, once it was held for
+    /// [`HOLD`], or for nothing at the end of the input. Call it until it returns `None`.
+    pub(crate) fn poll(&mut self, now: Instant, hold: Span) -> Option<(LinkSide, Instant, T)> {
+        self.poll_side(LinkSide::Transmitter, now, hold).or_else(|| self.poll_side(LinkSide::Receiver, now, hold))
     }
 
     fn poll_side(&mut self, side: LinkSide, now: Instant, hold: Span) -> Option<(LinkSide, Instant, T)> {
@@ -170,7 +164,7 @@ mod tests {
     }
 
     fn drain(admission: &mut Admission<&'static str>, now: Instant) -> Vec<&'static str> {
-        std::iter::from_fn(|| admission.poll(now).map(|(.., item)| item)).collect()
+        std::iter::from_fn(|| admission.poll(now, HOLD).map(|(.., item)| item)).collect()
     }
 
     fn counts(admission: &Admission<&'static str>) -> (u64, u64) {
@@ -283,7 +277,7 @@ mod tests {
         admission.handle(Receiver, (8, 301), ms(1), "contested too");
         admission.handle(Receiver, (9, 400), ms(1), "not confirmed");
         assert!(drain(&mut admission, ms(1)).is_empty());
-        let last: Vec<_> = std::iter::from_fn(|| admission.poll_last(ms(1))).collect();
+        let last: Vec<_> = std::iter::from_fn(|| admission.poll(ms(1), Span::default())).collect();
         assert_eq!(last, [(Transmitter, ms(0), "forward"), (Receiver, ms(0), "backward")]);
         assert_eq!(counts(&admission), (0, 1));
     }

@@ -5,7 +5,7 @@
 //! The middle between two wheels on one axle moves along the robot's heading: wheels roll, they do not slip sideways. A
 //! camera's positions drift in every direction, and phases do not show a path that is turned as a whole, nor one that bends
 //! slowly. The heading of its gyroscope drifts less. So of each step of its positions only the part along the heading is kept
-//! ([`Trajectory::rolling`]).
+//! ([`Trajectory::of_antenna`]).
 
 use crate::maths::{lower_rank, unwrap_rad, upper_median, wrap_rad};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
@@ -632,15 +632,35 @@ pub struct Mount {
 }
 
 impl Trajectory {
-    /// The trajectory of the middle between the wheels of a robot that carries the sensor of this one at `mount`: each step
-    /// is the part along the robot's heading (that of its middle) of what the sensor reports; heights stay as reported, and
-    /// so does the step over a gap. Not for robots that can move sideways.
+    /// The antenna's trajectory from the recorded one. If a tracking camera recorded it, `camera` is where that is on the robot:
+    /// the trajectory is then that of the middle between the wheels. `offset_m` is the antenna's place relative to the
+    /// tracked point, or to that middle ([`Self::with_antenna_offset`]).
+    ///
+    /// Each step of the middle is the part along the robot's heading (that of its middle) of what the camera reports; heights
+    /// stay as reported, and so does the step over a gap. Not for robots that can move sideways.
+    ///
+    /// # Errors
+    /// If a pose lacks the heading that is needed, or the offset is beyond any robot.
+    pub fn of_antenna(self, camera: Option<Mount>, offset_m: Option<Vector3<f64>>) -> Result<Self, TrajectoryError> {
+        let own = match camera {
+            Some(mount) => self.rolling(mount)?,
+            None => self,
+        };
+        match offset_m {
+            Some(offset_m) => own.with_antenna_offset(offset_m),
+            None => Ok(own),
+        }
+    }
+
+    /// The trajectory of the middle between the wheels of a robot that carries the sensor of this one at `mount`: the first step of
+    /// [`Self::of_antenna`].
     ///
     /// # Errors
     /// [`TrajectoryError::NoHeading`] if a pose has no heading.
-    pub fn rolling(&self, mount: &Mount) -> Result<Self, TrajectoryError> {
+    #[doc(hidden)]
+    pub fn rolling(&self, mount: Mount) -> Result<Self, TrajectoryError> {
         let gaps = self.gaps();
-        let mut roller = Roller::new(*mount);
+        let mut roller = Roller::new(mount);
         let mut middle = |pose: &Pose| {
             let last_s = roller.before.map(|before| before.reported.t_s);
             roller.moved(pose, gaps.iter().any(|gap| Some(gap.from_s) == last_s))
@@ -650,7 +670,7 @@ impl Trajectory {
     }
 }
 
-/// [`Trajectory::rolling`] of poses that come one by one.
+/// The middle between the wheels of [`Trajectory::of_antenna`], of poses that come one by one.
 #[derive(Clone, Copy, Debug)]
 #[doc(hidden)]
 pub struct Roller {
@@ -987,7 +1007,7 @@ mod tests {
 
     #[test]
     fn what_slips_sideways_is_taken_out_and_what_rolls_stays() {
-        let exact = sensed(|_| Vector3::zeros()).rolling(&MOUNT).unwrap();
+        let exact = sensed(|_| Vector3::zeros()).rolling(MOUNT).unwrap();
         assert!(furthest_m(&exact) < 1e-4, "{}", furthest_m(&exact));
         // Also where nothing named the sensor: only a camera has a mount.
         assert_eq!(exact.kind(), TrajectoryKind::RollingCamera);
@@ -1001,7 +1021,7 @@ mod tests {
             Vector3::new(cos * from_start.x - sin * from_start.y, sin * from_start.x + cos * from_start.y, 0.0)
                 - from_start
         });
-        let rolled = turned.rolling(&MOUNT).unwrap();
+        let rolled = turned.rolling(MOUNT).unwrap();
         assert!(furthest_m(&rolled) < 0.02, "{}", furthest_m(&rolled));
         let as_wheels = turned.with_antenna_offset(Vector3::zeros()).unwrap();
         assert!(furthest_m(&as_wheels) > 0.05, "{}", furthest_m(&as_wheels));
@@ -1020,7 +1040,7 @@ mod tests {
     #[test]
     fn a_step_over_a_gap_and_the_height_stay_as_reported() {
         let poses = over_a_gap();
-        let rolled = Trajectory::new(poses.clone()).unwrap().rolling(&Mount::default()).unwrap();
+        let rolled = Trajectory::new(poses.clone()).unwrap().rolling(Mount::default()).unwrap();
         let step = rolled.poses()[450].position_m - rolled.poses()[449].position_m;
         assert!((step - (poses[450].position_m - poses[449].position_m)).norm() < 1e-12, "{step}");
         assert_eq!(rolled.poses()[800].position_m.z, 0.07);
@@ -1029,7 +1049,7 @@ mod tests {
     #[test]
     fn poses_that_come_one_by_one_roll_as_those_of_a_file() {
         let poses = over_a_gap();
-        let whole = Trajectory::new(poses.clone()).unwrap().rolling(&MOUNT).unwrap();
+        let whole = Trajectory::new(poses.clone()).unwrap().rolling(MOUNT).unwrap();
         let mut roller = Roller::new(MOUNT);
         let own: Vec<Pose> = poses.iter().map(|pose| roller.step(pose).unwrap()).collect();
         assert_eq!(own, whole.poses());
@@ -1056,7 +1076,7 @@ mod tests {
     fn without_a_heading_nothing_says_which_way_wheels_roll() {
         let mut poses = middle();
         poses[3].heading_rad = None;
-        let refused = Trajectory::new(poses).unwrap().rolling(&Mount::default());
+        let refused = Trajectory::new(poses).unwrap().rolling(Mount::default());
         assert_eq!(refused, Err(TrajectoryError::NoHeading));
     }
 }

@@ -245,11 +245,12 @@ impl Answer {
     fn take(&mut self, bearing: &Bearing) {
         self.take_answer(&bearing.answer);
         self.origin_m = Some(bearing.mean_position_m.into());
-        self.azimuth_body_deg = bearing.azimuth_body_rad().map(f64::to_degrees);
-        self.azimuth_body_sd_deg = bearing.azimuth_body_sd_rad().map(f64::to_degrees).filter(|sd| sd.is_finite());
+        let of_body = bearing.azimuth_body_rad();
+        self.azimuth_body_deg = of_body.map(|(azimuth_rad, _)| azimuth_rad.to_degrees());
+        self.azimuth_body_sd_deg = of_body.map(|(_, sd_rad)| sd_rad.to_degrees()).filter(|sd| sd.is_finite());
         self.coherence = Some(bearing.plane_wave.coherence);
-        self.wsr_profile_variance = bearing.figures.wsr_profile_variance;
-        self.likelihood_share = bearing.figures.likelihood_share;
+        self.wsr_profile_variance = bearing.wsr_profile_variance;
+        self.likelihood_share = bearing.likelihood_share;
         self.geometry = Some(geometry_words(&bearing.plane_wave.geometry));
         if bearing.samples.path_gain() == 1 {
             // One log has records, no pairs. Probabilities were calibrated on logs of two robots only, so there is one

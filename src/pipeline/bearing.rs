@@ -301,8 +301,11 @@ pub struct Bearing {
     pub(super) end_m: Vector3<f64>,
     /// Of one log: the drive that the estimate took into account.
     pub(super) drive: Option<MovingArray>,
-    /// Figures of merit of the plane wave's azimuth profile, as other programs define them.
-    pub figures: ProfileFigures,
+    /// The WSR toolbox's variance of the plane wave's azimuth profile: lower is sharper, 1 is uniform.
+    pub wsr_profile_variance: Option<f64>,
+    /// The likelihood share of \[paper\], of the same profile: the highest entry over the sum (its code prints half,
+    /// holding each column twice).
+    pub likelihood_share: Option<f64>,
     /// The samples used.
     pub samples: Samples,
     /// The receiver's whole path, if [`super::Options::keep_course`] asked for it, metres.
@@ -371,18 +374,12 @@ impl Bearing {
 
     /// Azimuth relative to the robot's heading at the last sample used, radians. With a place
     /// ([`BearingAnswer::has_place`]) it is seen from the receiver's antenna at that time; else from the mean position,
-    /// like [`BearingAnswer::azimuth_rad`].
+    /// like [`BearingAnswer::azimuth_rad`]. The second value is its error bar, radians, at most pi; with a place, from
+    /// its covariance.
     #[must_use]
-    pub fn azimuth_body_rad(&self) -> Option<f64> {
-        let azimuth_rad = self.at_the_end().map_or(self.answer.azimuth_rad, |(azimuth_rad, _)| azimuth_rad);
-        self.heading_rad.map(|heading| wrap_rad(azimuth_rad - heading))
-    }
-
-    /// Error bar of [`Self::azimuth_body_rad`], radians, at most pi; with a place, from its covariance.
-    #[must_use]
-    pub fn azimuth_body_sd_rad(&self) -> Option<f64> {
-        let sd_rad = self.at_the_end().map_or(self.answer.azimuth_sd_rad, |(_, sd_rad)| sd_rad);
-        self.heading_rad.map(|_| sd_rad)
+    pub fn azimuth_body_rad(&self) -> Option<(f64, f64)> {
+        let (azimuth_rad, sd_rad) = self.at_the_end().unwrap_or((self.answer.azimuth_rad, self.answer.azimuth_sd_rad));
+        self.heading_rad.map(|heading| (wrap_rad(azimuth_rad - heading), sd_rad))
     }
 
     /// Azimuth of the place from the last sample's position, and its deviation, radians.
@@ -436,24 +433,14 @@ pub struct Phase {
     pub is_used: bool,
 }
 
-/// Figures of merit as other programs define them, from an azimuth profile on the WSR toolbox's grid.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ProfileFigures {
-    /// The WSR toolbox's profile variance: lower is sharper, 1 is uniform.
-    pub wsr_profile_variance: Option<f64>,
-    /// The likelihood share of \[paper\]: the highest entry over the sum (its code prints half, holding each column twice).
-    pub likelihood_share: Option<f64>,
-}
-
-impl ProfileFigures {
-    pub(super) fn of(samples: &Samples) -> Result<Self, bartlett::Error> {
-        // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
-        // Tables that serve one profile cost more than its sums.
-        let options = ProfileOptions { method: Some(Method::Direct), ..ProfileOptions::default() };
-        let profile = Planner::default().profile(samples, &Grid::wsr_azimuths(), &options)?;
-        let likelihood_share = profile.likelihood_share();
-        Ok(Self { wsr_profile_variance: bartlett::wsr_planar_profile_variance(&profile), likelihood_share })
-    }
+/// Figures of merit as other programs define them, from an azimuth profile on the WSR toolbox's grid:
+/// [`Bearing::wsr_profile_variance`] and [`Bearing::likelihood_share`].
+pub(super) fn profile_figures(samples: &Samples) -> Result<[Option<f64>; 2], bartlett::Error> {
+    // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
+    // Tables that serve one profile cost more than its sums.
+    let options = ProfileOptions { method: Some(Method::Direct), ..ProfileOptions::default() };
+    let profile = Planner::default().profile(samples, &Grid::wsr_azimuths(), &options)?;
+    Ok([bartlett::wsr_planar_profile_variance(&profile), profile.likelihood_share()])
 }
 
 /// Largest deviation of a mirror's side: two densities closer than four deviations merge.

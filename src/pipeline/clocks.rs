@@ -1,7 +1,7 @@
 //! Whether a log and a trajectory tell the same times.
 
 use super::draft::{Clocks, LinkJoin, estimate_with};
-use super::{Bearing, JoinBy, LinkError, Options};
+use super::{Bearing, CaptureReport, JoinBy, LinkError, Options};
 use crate::estimate::clock::{STEP_S, offsets_s};
 use crate::motion::pose::{Gap, Trajectory};
 use crate::source::survey::{HostSteps, SET_US, Survey};
@@ -110,11 +110,21 @@ fn settle<T>(found: &mut ClockOffset, at: impl Fn(f64) -> (Option<ClockOffset>, 
     made
 }
 
+impl CaptureReport {
+    /// In words, if the host's clock of the receiver's log or that of one of the `trajectories` was set while both ran and the other was
+    /// not: one part of the log then has poses of other times. `None` if poses are joined row by row.
+    pub fn clocks_part<'a>(
+        &self,
+        trajectories: impl IntoIterator<Item = &'a Trajectory>,
+        options: &Options,
+    ) -> Option<String> {
+        trajectories.into_iter().find_map(|path| self.receiver.survey.clocks_part(path, options))
+    }
+}
+
 impl Survey {
-    /// In words, if the host's clock or the trajectory's was set while both ran and the other was not: one part of the log then has
-    /// poses of other times. `None` if poses are joined row by row.
-    #[must_use]
-    pub fn clocks_part(&self, trajectory: &Trajectory, options: &Options) -> Option<String> {
+    /// In words, if the host's clock or the trajectory's was set while both ran and the other was not.
+    fn clocks_part(&self, trajectory: &Trajectory, options: &Options) -> Option<String> {
         let offset_s = options.clock_offset_s;
         let (first_us, last_us) = self.host_us.filter(|_| options.join == JoinBy::Time)?;
         let HostSteps { set, furthest_us, before_us, .. } = self.host_steps;

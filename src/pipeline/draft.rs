@@ -4,7 +4,7 @@
 //! drives wider than some 2.7 m at 5 GHz have too many, odometry hardly stays coherent over them, and wave fronts are
 //! too curved for a plane wave.
 
-use super::bearing::{Bearing, BearingAnswer, Fate, PairCounts, Phase, ProfileFigures};
+use super::bearing::{Bearing, BearingAnswer, Fate, PairCounts, Phase, profile_figures};
 use super::error::LinkError;
 use super::link::Link;
 use super::options::{JoinBy, Options};
@@ -135,12 +135,14 @@ fn bearing_in(
     let samples = &gated.samples;
     let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
     let answer = BearingAnswer::of(&found, samples);
+    let [wsr_profile_variance, likelihood_share] = if options.figures { profile_figures(samples)? } else { [None; 2] };
     Ok(Bearing {
         answer: if gated.pairs.may_be_exchanged() { answer.halved() } else { answer },
         range_change: options.range_change.then(|| gated.range_change(&found, link, &phases, options)),
         sufficient: found.sufficient,
         heading_rad: gated.heading_rad,
-        figures: if options.figures { ProfileFigures::of(samples)? } else { ProfileFigures::default() },
+        wsr_profile_variance,
+        likelihood_share,
         compensated: phases.compensated,
         turn_around: phases.turn_around,
         chain_constants: Vec::new(),

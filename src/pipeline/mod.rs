@@ -25,7 +25,7 @@ mod first_delay;
 pub(crate) mod intake;
 mod link;
 pub mod live;
-mod one_log;
+pub(crate) mod one_log;
 mod options;
 mod reading;
 mod unnumbered;
@@ -36,7 +36,7 @@ pub use crate::estimate::{
 pub use answer::{
     Answer, CandidateAnswer, CarriedAnswer, CarriedCandidate, RangeChangeAnswer, StretchAnswer, lost_something,
 };
-pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
+pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
 pub use clocks::ClockOffset;
 pub(crate) use draft::{LinkJoin, bearing as estimate_one, estimate_all as estimate};
@@ -45,7 +45,7 @@ pub use explain::{LinkPlan, StepPlan};
 pub use intake::UnusedRecords;
 pub(crate) use intake::{FrameHeard, Front};
 pub use link::Link;
-pub use one_log::{Array, ArrayError, ArrayFrame, ChainConstant, OneLog, OneLogReport, one_log};
+pub use one_log::{Array, ArrayError, ChainConstant, OneLog, one_log};
 pub use options::{Accuracy, JoinBy, Options};
 
 use crate::exchange::assign::{Match, Unmatched};
@@ -94,9 +94,9 @@ pub struct LinkReport {
 pub struct CaptureReport {
     /// The receiver's log.
     pub receiver: LogReport,
-    /// The transmitters' logs.
+    /// The transmitters' logs; none if the receiver's is used alone.
     pub transmitters: Vec<LogReport>,
-    /// One link for each of them.
+    /// One link for each of them, or for each sender in the receiver's log.
     pub links: Vec<LinkReport>,
 }
 

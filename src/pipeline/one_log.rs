@@ -19,12 +19,12 @@
 //! Two antennas at the same place would measure the phase `c`, so the estimate gets one sample of it at the origin for each
 //! record.
 
-use super::bearing::{Bearing, BearingAnswer, Fate, PairCounts, Phase, ProfileFigures};
+use super::bearing::{Bearing, BearingAnswer, Fate, PairCounts, Phase, profile_figures};
 use super::draft::{BY_CHANCE, DENSITY_AZIMUTHS, nothing, times_s};
 use super::error::LinkError;
 use super::first_delay::FirstDelay;
 use super::options::{JoinBy, Options};
-use super::{LinkReport, LogReport};
+use super::{CaptureReport, LinkReport, LogReport};
 use crate::bartlett;
 use crate::estimate::likelihood::{Place, Ways};
 use crate::estimate::{Found, MovingArray, Task, estimate, heading};
@@ -38,7 +38,7 @@ use crate::source::{CsiSource, Error, Next};
 use crate::time::Instant;
 use csi_formats::Frame;
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, Antennas, Bfee};
+use driver_iface::bfee::{Antenna, Antennas};
 use nalgebra::{Matrix3, Matrix3x2, UnitVector3, Vector2, Vector3};
 use num_complex::{Complex32, Complex64};
 use std::collections::BTreeMap;
@@ -160,14 +160,14 @@ impl Array {
         Ok(Self { first, others, constants: Vec::new(), is_placed: false })
     }
 
-    /// Sets the constant of each baseline from an earlier turn ([`Bearing::chain_constants`]). With constants, records of a
-    /// standing robot are used too.
+    /// Sets the constant of each baseline from an earlier turn ([`Bearing::chain_constants`]); none if they are not known.
+    /// With constants, records of a standing robot are used too.
     ///
     /// # Errors
-    /// [`ArrayError::Constants`] unless there is one finite constant for each baseline.
+    /// [`ArrayError::Constants`] unless there is no constant, or a finite one for each baseline.
     pub fn with_constants(self, constants: &[ChainConstant]) -> Result<Self, ArrayError> {
         let is_known = |one: &ChainConstant| one.rad.is_finite() && one.sd_rad.is_finite() && one.sd_rad >= 0.0;
-        if constants.len() != self.others.len() || !constants.iter().all(is_known) {
+        if !constants.is_empty() && (constants.len() != self.others.len() || !constants.iter().all(is_known)) {
             return Err(ArrayError::Constants { constants: constants.len(), baselines: self.others.len() });
         }
         Ok(Self { constants: constants.to_vec(), ..self })
@@ -186,12 +186,12 @@ impl Array {
     }
 
     /// The antennas, in the order given.
-    pub fn antennas(&self) -> impl Iterator<Item = Antenna> + '_ {
+    fn antennas(&self) -> impl Iterator<Item = Antenna> + '_ {
         std::iter::once(self.first).chain(self.others.iter().map(|(antenna, _)| *antenna))
     }
 
     /// The baselines, metres.
-    pub fn baselines_m(&self) -> impl ExactSizeIterator<Item = Vector3<f64>> + '_ {
+    fn baselines_m(&self) -> impl ExactSizeIterator<Item = Vector3<f64>> + '_ {
         self.others.iter().map(|(_, baseline_m)| *baseline_m)
     }
 }
@@ -236,15 +236,6 @@ impl ArrayFrame {
             sum.is_finite() && sum.norm_sqr() > 0.0
         };
         products.iter().all(is_heard).then_some(Self { sender, host_us, products })
-    }
-
-    /// From a record of a 5300.
-    #[must_use]
-    pub fn of_bfee(array: &Array, bfee: &Bfee<'_>, sender: Mac, host_us: Option<i64>) -> Option<Self> {
-        Self::new(array, sender, host_us, bfee.n_tx(), |antenna, stream| {
-            let iq = bfee.column(bfee.chain_of(antenna)?, stream)?;
-            Some(iq.map(|iq| Complex32::new(f32::from(iq.i), f32::from(iq.q))).to_vec())
-        })
     }
 }
 
@@ -307,16 +298,6 @@ pub struct OneLog {
     first_delay: FirstDelay,
 }
 
-/// Result of one log.
-#[derive(Debug)]
-#[non_exhaustive]
-pub struct OneLogReport {
-    /// Counts of the log.
-    pub log: LogReport,
-    /// A link for each sender, the one with most records first. [`LinkReport::link`] is `None`, because there are no pairs.
-    pub links: Vec<LinkReport>,
-}
-
 impl OneLog {
     /// An empty state. Options about pairs and about two clocks have no effect.
     #[must_use]
@@ -360,15 +341,14 @@ impl OneLog {
         bearing(self.senders.get(&sender).ok_or(LinkError::Unheard)?, &self.array, trajectory, options)
     }
 
-    /// Takes an item from a source of a 5300's records.
-    pub fn note(&mut self, next: &Next<'_>) {
-        self.note_sender(next);
-    }
-
-    /// As [`OneLog::note`]; returns the sender and host time of a frame received by all antennas.
-    pub(super) fn note_sender(&mut self, next: &Next<'_>) -> Option<(Mac, Option<i64>)> {
+    /// Takes an item from a source of a 5300's records; returns the sender and host time of a frame received by all antennas.
+    pub fn note(&mut self, next: &Next<'_>) -> Option<(Mac, Option<i64>)> {
         let (bfee, identity) = self.log.survey.note(next)?;
-        match ArrayFrame::of_bfee(&self.array, &bfee, identity.mac, identity.host_us) {
+        let csi = |antenna, stream| {
+            let iq = bfee.column(bfee.chain_of(antenna)?, stream)?;
+            Some(iq.map(|iq| Complex32::new(f32::from(iq.i), f32::from(iq.q))).to_vec())
+        };
+        match ArrayFrame::new(&self.array, identity.mac, identity.host_us, bfee.n_tx(), csi) {
             Some(frame) => {
                 self.hear(frame);
                 Some((identity.mac, identity.host_us))
@@ -418,6 +398,7 @@ impl OneLog {
     }
 
     /// Takes a frame of any card.
+    #[doc(hidden)] // for the crates of this workspace
     pub fn hear(&mut self, frame: ArrayFrame) {
         let ArrayFrame { sender, host_us, products } = frame;
         if products.len() != self.array.others.len() {
@@ -462,9 +443,10 @@ impl OneLog {
         Some((own, row))
     }
 
-    /// The bearing of every sender, with the robot's trajectory.
+    /// The bearing of every sender, with the robot's trajectory: a link for each, the one with most records first.
+    /// [`LinkReport::link`] is `None`, because there are no pairs.
     #[must_use]
-    pub fn bearings(self, trajectory: &Trajectory) -> OneLogReport {
+    pub fn bearings(self, trajectory: &Trajectory) -> CaptureReport {
         let Self { array, options, log, senders, .. } = self;
         let mut senders: Vec<(Mac, Sender)> = senders.into_iter().filter(|(_, own)| !own.rows.is_empty()).collect();
         senders.sort_by_key(|(_, sender)| std::cmp::Reverse(sender.heard));
@@ -479,7 +461,7 @@ impl OneLog {
         let mut links: Vec<LinkReport> = senders.iter().map(link).collect();
         let unheard = |mac| LinkReport { mac: Some(mac), matched: None, link: None, bearing: Err(LinkError::Unheard) };
         links.extend(silent.into_iter().map(unheard));
-        OneLogReport { log, links }
+        CaptureReport { receiver: log, transmitters: Vec::new(), links }
     }
 }
 
@@ -492,7 +474,7 @@ pub fn one_log(
     trajectory: &Trajectory,
     array: &Array,
     options: &Options,
-) -> Result<OneLogReport, Error> {
+) -> Result<CaptureReport, Error> {
     let mut one = OneLog::new(array.clone(), options.clone());
     let mut now = Instant::ZERO;
     loop {
@@ -994,11 +976,13 @@ fn bearing(sender: &Sender, array: &Array, trajectory: &Trajectory, options: &Op
     let last_s = samples.t_s().iter().skip(*anchors).copied().fold(f64::MIN, f64::max);
     let last = trajectory.at(last_s);
     let keeps = options.keep_course;
+    let [wsr_profile_variance, likelihood_share] = profile_figures(samples)?;
     Ok(Bearing {
         answer: BearingAnswer::of(&found, samples),
         sufficient: found.sufficient,
         heading_rad: last.and_then(|pose| pose.heading_rad),
-        figures: ProfileFigures::of(samples)?,
+        wsr_profile_variance,
+        likelihood_share,
         compensated: false,
         turn_around: None,
         range_change: None,

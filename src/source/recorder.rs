@@ -8,6 +8,7 @@
 //! Dropping a recorder writes its records before it returns, as [`Recorder::finish`] does.
 
 use super::{CsiSource, Error, Next, side_path};
+use crate::internal::lock;
 use crate::time::{Instant, Span};
 use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record, whole_records, written};
 use driver_iface::side_file::{Check, Entry, Layout};
@@ -15,7 +16,7 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 /// Whole records on their way to the disk.
@@ -153,10 +154,6 @@ enum Message {
 
 /// What the writer counts, in the log and lost on the disk.
 type OnDisk = Mutex<Totals>;
-
-fn lock(on_disk: &OnDisk) -> MutexGuard<'_, Totals> {
-    on_disk.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 fn note(on_disk: &OnDisk, written: Written) {
     let mut total = lock(on_disk);

@@ -8,13 +8,14 @@
 //! is distinguished from a gap.
 
 use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
+use crate::internal::lock;
 use crate::motion::odometry::{NextPose, OdometrySource};
 use crate::motion::pose::Pose;
 use crate::time::{Instant, Span};
 use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record};
 use nalgebra::Vector3;
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 const RECORDS: [u8; 4] = *b"c5r1";
 const POSES: [u8; 4] = *b"c5p2";
@@ -97,7 +98,7 @@ impl Mailbox {
     }
 
     fn with<T>(&self, use_it: impl FnOnce(&mut Shared) -> T) -> T {
-        use_it(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        use_it(&mut lock(&self.0))
     }
 
     /// Takes a message as it came, at `now`: the queue belongs to the session that it has until nothing of it came for a second. A message

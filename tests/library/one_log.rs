@@ -5,11 +5,12 @@ use csi5300::Log;
 use csi5300::driver_iface::Mac;
 use csi5300::driver_iface::bfee::{Antenna, Iq, Repr, Wsr};
 use csi5300::driver_iface::record::{Record, code};
+use csi5300::internal::ArrayFrame;
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{
-    Accuracy, Answer, Array, ArrayError, ArrayFrame, Bearing, JoinBy, LinkError, OneLogReport, Options, one_log,
+    Accuracy, Answer, Array, ArrayError, Bearing, CaptureReport, JoinBy, LinkError, Options, one_log,
 };
 use csi5300::source::replay::Replay;
 use nalgebra::Vector3;
@@ -123,7 +124,7 @@ fn normal(random: &mut Random) -> Complex64 {
     Complex64::from_polar(radius, TAU * random.next())
 }
 
-fn run(log: Vec<u8>, trajectory: &Trajectory, array: &Array) -> OneLogReport {
+fn run(log: Vec<u8>, trajectory: &Trajectory, array: &Array) -> CaptureReport {
     one_log(&mut Replay::new(Cursor::new(log), String::new()), trajectory, array, &options()).unwrap()
 }
 
@@ -270,7 +271,7 @@ fn frames_that_an_antenna_missed_keep_their_rows() {
     let mut source = Replay::new(Cursor::new(log), String::new());
     let report = one_log(&mut source, &Trajectory::new(every_frame).unwrap(), &pair(baseline_m), &options).unwrap();
     let bearing = report.links[0].bearing.as_ref().unwrap();
-    assert_eq!((bearing.pairs.formed, report.log.unused.no_antenna), (RECORDS - silent, silent as u64));
+    assert_eq!((bearing.pairs.formed, report.receiver.unused.no_antenna), (RECORDS - silent, silent as u64));
     assert!(wrap_rad(bearing.answer.azimuth_rad - 1.2).abs() < 0.01, "{}", bearing.answer.azimuth_rad);
 }
 

@@ -6,12 +6,12 @@ use csi_formats::{Item, items};
 use csi5300::driver_iface::Mac;
 use csi5300::driver_iface::bfee::Antenna;
 use csi5300::driver_iface::record::{LENGTH_FIELD, code, written};
+use csi5300::internal::ArrayFrame;
 use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::num_complex::Complex32;
 use csi5300::pipeline::{
-    Answer, Array, ArrayFrame, Bearing, CaptureReport, JoinBy, OneLog, Options, Transmitter, bearings, lost_something,
-    one_log,
+    Answer, Array, Bearing, CaptureReport, JoinBy, OneLog, Options, Transmitter, bearings, lost_something, one_log,
 };
 use csi5300::source::other_card::Translated;
 use csi5300::source::replay::Replay;

@@ -6,11 +6,11 @@
 mod card;
 
 use crate::cards::{self, CardSurvey, most_frequent};
+use crate::export::indices;
 use crate::table::{Columns, Decoder, Filter, Form, LogReader, NO_TIME, Order, Reading, Rows};
 use card::CardLog;
 use csi_formats::Format;
 use csi5300::internal::PAUSE_US;
-use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ};
 use csi5300::source::survey::{NumberStep, Numbering, Sender, Survey, TimeBase};
 use csi5300::source::{Error, replay::Replay};
 use csi5300::time::{Instant, Step16};
@@ -525,12 +525,11 @@ impl LogIndex {
             Source::Card(card) => return card.heat_rows(layout, most),
         };
         let wide = survey.rates.keys().filter(|rate| *rate & HT40 != 0).count();
-        let indices = match wide {
-            0 => Some(INDICES_20_MHZ),
-            all if all == survey.rates.len() => Some(INDICES_40_MHZ),
-            _ => None,
-        };
-        HeatRows::new(indices.map(|indices| indices.map(i16::from).to_vec()), SUBCARRIERS, most)
+        HeatRows::new(
+            indices(wide, survey.rates.len()).map(|indices| indices.map(i16::from).to_vec()),
+            SUBCARRIERS,
+            most,
+        )
     }
 
     /// The most frequent layout of some rows.

@@ -145,7 +145,7 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.elevation_deg = answer.signed_elevation_rad.map(f64::to_degrees);
     run.sd_deg = Some(answer.azimuth_bound_rad.to_degrees());
     run.confidence = Some(answer.probability);
-    run.likelihood_share = bearing.figures.likelihood_share;
+    run.likelihood_share = bearing.likelihood_share;
     run.coherence = Some(bearing.plane_wave.coherence);
 }
 

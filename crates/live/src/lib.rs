@@ -51,7 +51,4 @@ pub mod stock;
 pub mod sys;
 pub mod wait;
 
-/// An error of this machine's side, in words; nobody tells them apart.
-pub fn refused(words: impl Into<String>) -> csi5300::source::Error {
-    csi5300::source::Error::Backend(words.into().into())
-}
+use csi5300::internal::refused;

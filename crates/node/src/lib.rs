@@ -28,5 +28,4 @@ pub mod sources;
 pub mod team;
 mod threads;
 
-use csi5300_live::refused;
-use csi5300_ros2::lock;
+use csi5300::internal::{lock, refused};

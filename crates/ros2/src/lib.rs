@@ -42,12 +42,7 @@ pub use node::{Node, Records};
 pub use rtps::Qos;
 pub use said::colour;
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
-/// What a mutex holds, also after a panic of who held it.
-pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
+use csi5300::internal::lock;
 
 /// The RTPS fuzz target: other participants take arbitrary steps.
 #[cfg(feature = "fuzzed")]

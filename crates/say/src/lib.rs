@@ -319,8 +319,18 @@ pub fn fixed(value: f64, digits: usize) -> String {
     }
 }
 
+/// The end of a program that began at `begun`: prints what it used and the error, if there is one.
+pub fn ended(begun: std::time::Instant, result: Result) -> ExitCode {
+    detail!("{}", used(begun));
+    let outcome = result.unwrap_or_else(|message| {
+        wrong!("{message}");
+        Outcome::Nothing
+    });
+    outcome.into()
+}
+
 /// Time since `begun`, seconds, and peak memory, megabytes, of this process.
-pub fn used(begun: std::time::Instant) -> String {
+fn used(begun: std::time::Instant) -> String {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let peak =
         status.lines().find_map(|line| line.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse::<f64>().ok());

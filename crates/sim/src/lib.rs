@@ -72,7 +72,4 @@ pub use refusal::SceneError;
 pub use room::{Backend, Room, RoomError, SimulatedRobot, Simulation};
 pub use scene::{BUILT_IN, Scene};
 
-/// An error of a room, in words; nobody tells them apart.
-fn refused(words: impl Into<String>) -> csi5300::source::Error {
-    csi5300::source::Error::Backend(words.into().into())
-}
+use csi5300::internal::refused;

@@ -5,8 +5,8 @@
 //! effect a moment after it arrives, and without poses the robot waits.
 
 use super::maths::{heading, rad, turned};
-use super::port::lock;
 use super::random::Stream;
+use csi5300::internal::lock;
 use csi5300::motion::odometry::{FollowedCounts, NextPose, OdometrySource, SourceCounts, csv};
 use csi5300::motion::pose::{self, Trajectory};
 use csi5300::time::Instant;

@@ -14,7 +14,7 @@ use super::scene::{Card, Driver, Odometry, Scene};
 use super::sounder::FrameRole;
 use super::world::World;
 use csi_formats::feitcsi;
-use csi5300::internal::{FrameReceiver, HeardFrame};
+use csi5300::internal::{FrameReceiver, HeardFrame, lock};
 use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
 use csi5300::motion::pose::Pose;
 use csi5300::source::other_card::Translator;
@@ -25,7 +25,7 @@ use driver_iface::record::{LENGTH_FIELD, Record, Tail, code, written};
 use driver_iface::{Mac, mpdu};
 use nalgebra::Vector3;
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Longest frame that mac80211 takes (IEEE80211_MAX_FRAME_LEN), without FCS.
 const MAX_FRAME: usize = 2_352 - mpdu::FCS;
@@ -74,11 +74,6 @@ struct FeitCsi {
 enum Read {
     Record(Stamps, u8, FrameRole, usize),
     None(Next<'static>),
-}
-
-/// Locks the air, or a path. Both are consistent between events, so a poisoned lock is usable.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Port {

@@ -6,7 +6,7 @@ use super::motion::RobotMotion;
 use super::radio::{AntennaOrder, Radio, TurnAround};
 use super::scene::{Card, Dialect, Driver, HostClock, Preamble, Robot, Scene};
 use super::sounder::request;
-use super::toml_lines::{Step, TomlLines};
+use super::toml_lines::TomlLines;
 use super::world::{Carrier, World, surfaces};
 use csi5300::signal::channel::Channel;
 use nalgebra::Vector3;
@@ -83,23 +83,13 @@ impl SceneError {
     pub fn locate(self, text: &str) -> Self {
         match self {
             Self::Value { place, line: None, reason } if !place.is_empty() => {
-                let line = TomlLines::new(text).line(&steps(&place));
+                let steps = place.split(['.', '[']).map(|step| step.trim_end_matches(']'));
+                let line = TomlLines::new(text).line(steps);
                 Self::Value { place, line, reason }
             }
             other => other,
         }
     }
-}
-
-/// The steps of the way to a value.
-fn steps(place: &str) -> Vec<Step<'_>> {
-    let parts = place.split(['.', '[']).filter(|part| !part.is_empty());
-    parts
-        .map(|part| match part.strip_suffix(']').and_then(|index| index.parse().ok()) {
-            Some(index) => Step::Index(index),
-            None => Step::Key(part),
-        })
-        .collect()
 }
 
 /// A problem and its place so far: outer tables add their names later.

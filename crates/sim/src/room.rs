@@ -3,7 +3,7 @@
 use super::air::Air;
 use super::faults::Injected;
 use super::motion::{Follower, Pose};
-use super::port::{Interface, Odometer, Port, ceil_us, host_us, lock};
+use super::port::{Interface, Odometer, Port, ceil_us, host_us};
 use super::refusal::{SceneError, check};
 use super::refused;
 use super::scene::{Card, Scene};
@@ -11,6 +11,7 @@ use super::sounder::{FrameRole, sounder};
 use super::world::World;
 use csi_formats::feitcsi;
 use csi5300::exchange::tdma::PlanError;
+use csi5300::internal::lock;
 use csi5300::motion::odometry::OdometrySource;
 use csi5300::motion::pose::{self, Trajectory};
 use csi5300::source::other_card::Translated;

@@ -5,10 +5,10 @@
 
 use super::maths::{amplitude, heading, phasor};
 use super::motion::{Pose, Recorded, RobotMotion, SharedWay, Track};
-use super::port::lock;
 use super::random::{Purpose, Stream};
 use super::refusal::{Problem, SceneError};
 use super::scene::{Cfo, Pattern, Robot, Scene};
+use csi5300::internal::lock;
 use csi5300::signal::channel::{
     Channel, INDICES_20_MHZ, INDICES_40_MHZ, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, Width,
 };

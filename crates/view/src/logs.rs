@@ -1,6 +1,7 @@
 //! Logs, each read once when it is first looked at, and the CSI of a stretch as the page takes it: a byte a cell.
 
 use crate::Error;
+use csi5300::internal::lock;
 use csi5300_lab::cards::is_named_as_log;
 use csi5300_lab::course::{LogIndex, StretchCsi, letter};
 use driver_iface::Mac;
@@ -10,7 +11,7 @@ use std::f64::consts::PI;
 use std::fs::Metadata;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::SystemTime;
 
 /// Logs that stay read; the one that was looked at longest ago is forgotten first.
@@ -82,10 +83,6 @@ pub(crate) struct Logs {
     /// What has a log's name and is none.
     left_out: Vec<PathBuf>,
     recent: Mutex<VecDeque<usize>>,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Logs {

@@ -1,12 +1,13 @@
 //! The states of a running node, as its status socket gives them, a line of JSON a look; and server-sent events for the page.
 
 use crate::Error;
+use csi5300::internal::lock;
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
 /// States kept for a page that comes later.
@@ -42,7 +43,7 @@ impl Node {
     }
 
     fn keep(&self, state: &str) {
-        let mut said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut said = lock(&self.said);
         if said.len() >= KEPT {
             said.pop_front();
         }
@@ -51,7 +52,7 @@ impl Node {
 
     /// All states that are kept, a JSON array.
     pub fn states(&self) -> Vec<u8> {
-        let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        let said = lock(&self.said);
         let all: Vec<&str> = said.iter().map(AsRef::as_ref).collect();
         format!("[{}]", all.join(",")).into_bytes()
     }
@@ -105,7 +106,7 @@ impl Events {
     pub fn listen(&self) -> Option<Receiver<Arc<str>>> {
         // A comment, which pages ignore: who has gone does not take it.
         self.send(":\n\n");
-        let mut listeners = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut listeners = lock(&self.0);
         if listeners.len() >= LISTENERS {
             return None;
         }
@@ -123,7 +124,7 @@ impl Events {
         let text: Arc<str> = text.into();
         let is_closed =
             |sender: &SyncSender<_>| matches!(sender.try_send(Arc::clone(&text)), Err(TrySendError::Disconnected(_)));
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|sender| !is_closed(sender));
+        lock(&self.0).retain(|sender| !is_closed(sender));
     }
 }
 

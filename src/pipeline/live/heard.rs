@@ -107,7 +107,7 @@ impl Heard {
 
     /// Takes an item from this robot's card.
     pub(super) fn note(&mut self, next: &Next<'_>) {
-        let Some((mac, host_us)) = self.log.note_sender(next) else { return };
+        let Some((mac, host_us)) = self.log.note(next) else { return };
         let Next::Record(stamps, _) = next else { return };
         let others = self.links.len() - self.named;
         let known = self.links.iter().position(|link| link.mac == mac);

@@ -17,7 +17,7 @@ mod track;
 
 use super::{Answer, Array, Bearing, Effort, Front, Link, LinkError, LinkJoin, LogReport, Options, estimate};
 use crate::estimate::COARSE_RAD;
-use crate::exchange::admission::Admission;
+use crate::exchange::admission::{Admission, HOLD};
 use crate::exchange::pairing::LinkSide;
 use crate::exchange::tdma::Key;
 use crate::motion::pose::{Pose, Trajectory};
@@ -48,7 +48,6 @@ pub struct LiveEstimator {
     /// Records lost on the way from this robot's card, if its source counts them.
     losses: u64,
     strangers: u64,
-    other_antenna: u64,
 }
 
 impl LiveEstimator {
@@ -74,7 +73,7 @@ impl LiveEstimator {
         let mut plain = options.clone();
         plain.accuracy.effort = Effort::Within(COARSE_RAD);
         let heard = None;
-        Self { own, settings, front, track, peers, heard, losses: 0, strangers: 0, other_antenna: 0, options, plain }
+        Self { own, settings, front, track, peers, heard, losses: 0, strangers: 0, options, plain }
     }
 
     /// The same with bearings of what these antennas of this robot's card hear alone, while the robot turns or where the
@@ -113,7 +112,7 @@ impl LiveEstimator {
         let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac) else { return };
         if let Some(admission) = &mut state.admission {
             admission.confirm(number, now);
-            state.admit(now, &self.options);
+            state.admit(now, HOLD, &self.options);
         }
     }
 
@@ -148,13 +147,11 @@ impl LiveEstimator {
     }
 
     /// Takes the measurement in an answer of the peer `mac`: its card's report on a frame of this robot. One of another
-    /// antenna is only counted.
+    /// antenna is not used.
     pub fn handle_measurement(&mut self, mac: Mac, measurement: &Measurement) {
-        if measurement.rx_antenna != self.options.antenna as u8 {
-            self.other_antenna += 1;
-            return;
-        }
-        if let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac) {
+        if let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac)
+            && measurement.rx_antenna == self.options.antenna as u8
+        {
             state.handle_measurement(measurement, &self.options);
         }
     }
@@ -205,7 +202,7 @@ impl LiveEstimator {
     /// After its time a report waits for another pair, at most a moment; once more, as a whole estimate, when
     /// nothing else is due.
     pub fn poll_report(&mut self, now: Instant) -> Option<(usize, PeerReport)> {
-        self.peers.iter_mut().for_each(|state| state.admit(now, &self.options));
+        self.peers.iter_mut().for_each(|state| state.admit(now, HOLD, &self.options));
         let due = self.peers.iter().enumerate().filter(|(_, state)| !state.is_heard_only && state.is_ripe(now));
         let due = due.min_by_key(|(_, state)| state.due).map(|(index, _)| (index, Why::Due));
         let paired_at = due.and_then(|(index, _)| self.peers.get(index)).map(|state| state.due);
@@ -302,12 +299,6 @@ impl LiveEstimator {
     #[must_use]
     pub fn losses(&self) -> (u64, u64) {
         (self.losses, self.strangers)
-    }
-
-    /// Measurements of another antenna than the one in use: not used.
-    #[must_use]
-    pub fn other_antenna(&self) -> u64 {
-        self.other_antenna
     }
 
     /// Drops data that no window needs any more.

@@ -3,7 +3,7 @@
 use super::track::{Track, Window, aligned, window};
 use super::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 use crate::estimate::{COARSE_RAD, Effort};
-use crate::exchange::admission::Admission;
+use crate::exchange::admission::{Admission, HOLD};
 use crate::exchange::pairing::LinkSide;
 use crate::exchange::pairing::by_clock;
 use crate::motion::pose::{Pose, Trajectory};
@@ -170,7 +170,7 @@ impl PeerLink {
             None => self.pair(side, heard, stamps.at, options),
             Some(admission) => {
                 admission.handle(side, (heard.number, heard.timestamp_low), stamps.at, heard);
-                self.admit(stamps.at, options);
+                self.admit(stamps.at, HOLD, options);
             }
         }
         true
@@ -209,7 +209,7 @@ impl PeerLink {
 
     /// Ends both sides.
     pub(super) fn finish(&mut self, now: Instant, options: &Options) {
-        self.admit_last(now, options);
+        self.admit(now, Span::default(), options);
         if let ByClock::Running(by_clock) = &mut self.by_clock {
             by_clock.finish();
         }
@@ -226,16 +226,9 @@ impl PeerLink {
         refused.map_or_else(|| "no exchange yet".to_owned(), |why| format!("no exchange yet: {why}"))
     }
 
-    /// Passes on confirmed records.
-    pub(super) fn admit(&mut self, now: Instant, options: &Options) {
-        while let Some((side, at, heard)) = self.admission.as_mut().and_then(|admission| admission.poll(now)) {
-            self.pair(side, heard, at, options);
-        }
-    }
-
-    /// The same at the end.
-    fn admit_last(&mut self, now: Instant, options: &Options) {
-        while let Some((side, at, heard)) = self.admission.as_mut().and_then(|admission| admission.poll_last(now)) {
+    /// Passes on confirmed records, once they were held for that long.
+    pub(super) fn admit(&mut self, now: Instant, hold: Span, options: &Options) {
+        while let Some((side, at, heard)) = self.admission.as_mut().and_then(|admission| admission.poll(now, hold)) {
             self.pair(side, heard, at, options);
         }
     }

@@ -36,9 +36,14 @@ pub(super) fn layout(heard: &Heard, _: &Evidence) -> Told {
     let all = [(survey.stock, "stock"), (survey.wsr_2021, "WSR of 2021"), (survey.wsr, "WSR")];
     let there: Vec<String> =
         all.iter().filter(|(count, _)| *count > 0).map(|(count, name)| format!("{count} {name}")).collect();
-    match there.len() {
+    only_one(&there)
+}
+
+/// A verdict on values of which there must be one.
+fn only_one(found: &[String]) -> Told {
+    match found.len() {
         0 => Told::not_tried("no record with CSI"),
-        layouts => Told::decided(layouts == 1, there.join(", ")),
+        values => Told::decided(values == 1, found.join(", ")),
     }
 }
 
@@ -82,10 +87,7 @@ pub(super) fn chains(heard: &Heard, _: &Evidence) -> Told {
     }
     let found: Vec<String> =
         counts.iter().map(|(chains, count)| format!("{chains} chains in {count} records")).collect();
-    match counts.len() {
-        0 => Told::not_tried("no record with CSI"),
-        values => Told::decided(values == 1, found.join(", ")),
-    }
+    only_one(&found)
 }
 
 pub(super) fn order(heard: &Heard, _: &Evidence) -> Told {

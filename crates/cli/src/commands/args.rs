@@ -204,12 +204,7 @@ impl Mounting {
     /// # Errors
     /// If that has no heading, in words.
     pub fn of_antenna(&self, recorded: Trajectory) -> Result<Trajectory, String> {
-        let rolled = self.camera_mount.map(|mount| recorded.rolling(&mount)).transpose();
-        let moved = rolled.and_then(|rolled| {
-            let own = rolled.unwrap_or(recorded);
-            self.antenna_offset.map_or(Ok(own.clone()), |offset| own.with_antenna_offset(offset))
-        });
-        moved.in_words()
+        recorded.of_antenna(self.camera_mount, self.antenna_offset).in_words()
     }
 }
 

@@ -16,7 +16,7 @@ use csi5300::motion::odometry::csv::{self, Columns};
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::{
     Answer, Array, ArrayError, CaptureReport, ChainConstant, Effort, LinkError, LinkPlan, LinkReport, LogReport,
-    OdometryFit, OneLog, OneLogReport, Options, Transmitter, bearings, lost_something, one_log,
+    OdometryFit, OneLog, Options, Transmitter, bearings, lost_something, one_log,
 };
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key, side_path};
@@ -290,8 +290,7 @@ pub fn run(mut args: Args) -> Result {
         explain_lines(links);
     }
     say_losses(&args, &rx, &report, &receiver, &logs);
-    let mut all = std::iter::once(&trajectory).chain(&partners);
-    let parted = all.find_map(|path| report.receiver.survey.clocks_part(path, &options));
+    let parted = report.clocks_part(std::iter::once(&trajectory).chain(&partners), &options);
     parted.iter().for_each(|words| note!("{}: {words}", rx.display()));
     report.clock_doubt().iter().for_each(|doubt| note!("{}: {doubt}", rx.display()));
     let lost = answered < report.links.len() || !unread.is_empty() || lost_something(&report) || inputs.lost();
@@ -486,7 +485,7 @@ fn other_card(
     trajectory: &Trajectory,
     array: &Array,
     options: &Options,
-) -> Words<Option<(OneLogReport, bool)>> {
+) -> Words<Option<(CaptureReport, bool)>> {
     let Some((format, bytes)) = csi5300_lab::cards::read(path) else { return Ok(None) };
     let mut one = OneLog::new(array.clone(), options.clone());
     let (mut survey, mut without, mut elsewhere) = (CardSurvey::default(), 0_u64, BTreeMap::<u16, u64>::new());
@@ -514,7 +513,7 @@ fn other_card(
 
 /// The bearings from one log.
 struct Alone {
-    report: OneLogReport,
+    report: CaptureReport,
     lost: bool,
     /// Unused and lost records of a 5300's log.
     notes: Option<String>,
@@ -527,9 +526,9 @@ impl Alone {
         }
         let mut log = inputs.open(rx)?;
         let report = one_log(&mut log, trajectory, array, options).in_words()?;
-        let (survey, unused) = (&report.log.survey, report.log.unused);
+        let (survey, unused) = (&report.receiver.survey, report.receiver.unused);
         let losses = info::unusual_losses(survey, log.bytes());
-        let parted = survey.clocks_part(trajectory, options);
+        let parted = report.clocks_part([trajectory], options);
         let has_notes = unused.no_antenna > 0 || !losses.is_empty() || parted.is_some();
         let notes = has_notes.then(|| {
             let (bfees, lacking) = (survey.bfees(), unused.no_antenna);
@@ -556,7 +555,7 @@ fn array(args: &Args) -> std::result::Result<Array, ArrayError> {
     let array = Array::new(&args.estimation.antenna, &metres)?;
     let array = if args.mounting.antenna_offset.is_some() { array.on_trajectory() } else { array };
     let constants: Vec<ChainConstant> = args.logs.baseline.iter().filter_map(|baseline| baseline.constant).collect();
-    if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) }
+    array.with_constants(&constants)
 }
 
 /// Combines the bearings of two logs with those of the receiver's log alone.

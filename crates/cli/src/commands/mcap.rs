@@ -7,7 +7,7 @@ use csi5300::bartlett::{self, Grid};
 use csi5300::internal::{FrameHeard, Front};
 use csi5300::motion::odometry::csv::Columns;
 use csi5300::motion::pose::{Pose, Trajectory};
-use csi5300::pipeline::{Bearing, JoinBy, Options, Transmitter, bearings, lost_something};
+use csi5300::pipeline::{Answer, Bearing, JoinBy, Options, Transmitter, bearings, lost_something};
 use csi5300::signal::channel::Channel;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
@@ -66,7 +66,7 @@ struct LogRow<'a> {
     records: u64,
 }
 
-#[derive(Default, serde::Serialize)]
+#[derive(serde::Serialize)]
 struct LinkRow {
     link: String,
     azimuth_deg: Option<f64>,
@@ -203,25 +203,19 @@ fn estimate(
     let report = bearings(&mut receiver, transmitters, trajectory, options).map_err(text)?;
     let mut rows = Vec::new();
     for (name, link) in names.iter().skip(1).zip(&report.links) {
+        let Answer { azimuth_deg, azimuth_sd_deg, mirror_deg, error, .. } = Answer::new(name.clone(), link);
         match &link.bearing {
             Ok(bearing) => {
                 recording.bearing(name, bearing).map_err(|error| failed(args, &error))?;
-                let answer = &bearing.answer;
-                let [azimuth_deg, sd_deg] = [answer.azimuth_rad, answer.azimuth_sd_rad].map(f64::to_degrees);
-                let mirror_deg = answer.mirror_rad.map(f64::to_degrees);
+                let [azimuth, sd] = [bearing.answer.azimuth_rad, bearing.answer.azimuth_sd_rad].map(f64::to_degrees);
                 let mirror = mirror_deg.map_or(String::new(), |deg| format!(", or its mirror {} deg", fixed(deg, 2)));
-                note!("{name}: {} deg +- {}{mirror}", fixed(azimuth_deg, 2), fixed(sd_deg, 2));
-                let (azimuth_deg, azimuth_sd_deg) = (Some(azimuth_deg), Some(sd_deg));
-                rows.push(LinkRow { link: name.clone(), azimuth_deg, azimuth_sd_deg, mirror_deg, error: None });
+                note!("{name}: {} deg +- {}{mirror}", fixed(azimuth, 2), fixed(sd, 2));
             }
-            Err(error) => {
-                wrong!("{name}: {error}");
-                let error = Some(error.to_string());
-                rows.push(LinkRow { link: name.clone(), error, ..LinkRow::default() });
-            }
+            Err(error) => wrong!("{name}: {error}"),
         }
+        rows.push(LinkRow { link: name.clone(), azimuth_deg, azimuth_sd_deg, mirror_deg, error });
     }
-    let parted = report.receiver.survey.clocks_part(trajectory, options);
+    let parted = report.clocks_part([trajectory], options);
     parted.iter().for_each(|words| note!("{}: {words}", rx.display()));
     report.clock_doubt().iter().for_each(|doubt| note!("{}: {doubt}", rx.display()));
     Ok((rows, parted.is_some() || lost_something(&report)))

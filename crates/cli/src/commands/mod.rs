@@ -150,15 +150,9 @@ pub fn run() -> ExitCode {
         parsed.unwrap_or_else(|error| say::misused(&error.render().to_string(), error.exit_code(), || error.exit()));
     say::set("csi5300", Level::of(cli.quiet, cli.verbose), cli.color);
     let result = outputs_are_no_inputs(&command, &matches).and_then(|()| execute(cli.command));
-    detail!("{}", say::used(begun));
-    match result {
-        Ok(Outcome::Done) if files::rows_were_lost() => Outcome::DataLost.into(),
-        Ok(outcome) => outcome.into(),
-        Err(message) => {
-            wrong!("{message}");
-            Outcome::Nothing.into()
-        }
-    }
+    let lost_rows =
+        |outcome| if files::rows_were_lost() && outcome == Outcome::Done { Outcome::DataLost } else { outcome };
+    say::ended(begun, result.map(lost_rows))
 }
 
 /// Every command, hidden ones too.

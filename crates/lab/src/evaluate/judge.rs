@@ -149,8 +149,7 @@ impl Capture {
         let fit = fit.filter(|fit| fit.refused.is_none());
         let heading_sd_rad = fit.map_or(heading_sd_rad, |fit| fit.heading_sd_rad(heading_sd_rad));
         let rx_path = self.receiver_log();
-        let mut all = std::iter::once(&trajectory).chain(moved.iter().flatten());
-        let parted = all.find_map(|path| report.receiver.survey.clocks_part(path, &options));
+        let parted = report.clocks_part(std::iter::once(&trajectory).chain(moved.iter().flatten()), &options);
         notes.extend(parted.map(|words| format!("{}: {words}", rx_path.display())));
         notes.extend(report.clock_doubt().map(|doubt| format!("{}: {doubt}", rx_path.display())));
         let paths = match source {
@@ -333,9 +332,8 @@ impl Capture {
             return Ok(recorded);
         }
         let rolls = source == TrajectorySource::RollingT265;
-        let recorded = if rolls { recorded.rolling(&self.camera.unwrap_or_default())? } else { recorded };
-        let turned = self.turned(source, recorded)?;
-        self.antenna_offset_m.map_or(Ok(turned.clone()), |offset| turned.with_antenna_offset(offset.into()))
+        let camera = rolls.then(|| self.camera.unwrap_or_default());
+        self.turned(source, recorded)?.of_antenna(camera, self.antenna_offset_m.map(Vector3::from))
     }
 
     /// Unless they are reset, wheels continue from the previous run's heading. Their trajectory is rotated to the heading that

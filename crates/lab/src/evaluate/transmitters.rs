@@ -161,14 +161,8 @@ fn axes(covariance_m2: &Matrix2<f64>) -> ([f64; 2], f64) {
     let half_m = |k: usize| (ELLIPSE * own.eigenvalues[k].max(0.0)).sqrt();
     let along = own.eigenvectors.column(longer);
     let deg = along[1].atan2(along[0]).to_degrees();
-    let upright = if deg > 90.0 {
-        deg - 180.0
-    } else if deg <= -90.0 {
-        deg + 180.0
-    } else {
-        deg
-    };
-    ([half_m(longer), half_m(1 - longer)], upright)
+    // Half turns change nothing.
+    ([half_m(longer), half_m(1 - longer)], deg - 180.0 * (deg / 180.0 - 0.5).ceil())
 }
 
 #[cfg(test)]

@@ -28,12 +28,7 @@ pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, Failure> {
     }
     writeln!(out, "{head}")?;
     let (mut walk, mut csi) = (Walk::new(export, Order::SubcarriersFirst)?, Vec::new());
-    loop {
-        let first = walk.figures.scale.len();
-        walk.next(&mut csi);
-        if csi.is_empty() {
-            break;
-        }
+    while let Some(first) = walk.next(&mut csi) {
         for (record, csi) in (first..).zip(csi.chunks(walk.rows.len())) {
             let mut line = fields(export, &walk.figures, record);
             for h in csi {

@@ -130,11 +130,7 @@ impl<'a> Export<'a> {
     /// The subcarriers of the records' CSI; `None` if 20 and 40 MHz are mixed.
     fn subcarriers(&self) -> Option<[i8; SUBCARRIERS]> {
         let wide = self.columns.rate.iter().filter(|word| **word & rate::HT40 != 0).count();
-        match wide {
-            0 => Some(INDICES_20_MHZ),
-            all if all == self.columns.len() => Some(INDICES_40_MHZ),
-            _ => None,
-        }
+        indices(wide, self.columns.len())
     }
 
     fn npz(&self, path: &Path) -> Result<Figures, Failure> {
@@ -143,7 +139,7 @@ impl<'a> Export<'a> {
         let mut walk = Walk::new(self, Order::SubcarriersFirst)?;
         let bytes = shape.iter().product::<u64>() * size_of::<Complex32>() as u64 + n * BYTES;
         let mut npz = Npz::create_for(path, bytes)?;
-        let written = npz.blocks("csi", &shape, |piece| walk.next(piece));
+        let written = npz.blocks("csi", &shape, |piece| _ = walk.next(piece));
         // An error here explains why there were too few values.
         let figures = walk.finish()?;
         written?;
@@ -185,9 +181,17 @@ impl<'a> Export<'a> {
 fn vectors(walk: &mut Walk<'_>) -> impl Iterator<Item = Vec<Complex32>> {
     std::iter::from_fn(move || {
         let mut piece = Vec::new();
-        walk.next(&mut piece);
-        (!piece.is_empty()).then_some(piece)
+        walk.next(&mut piece).map(|_| piece)
     })
+}
+
+/// The subcarriers of `all` records of which `wide` are 40 MHz wide; `None` if they are mixed.
+pub(crate) fn indices(wide: usize, all: usize) -> Option<[i8; SUBCARRIERS]> {
+    match wide {
+        0 => Some(INDICES_20_MHZ),
+        _ if wide == all => Some(INDICES_40_MHZ),
+        _ => None,
+    }
 }
 
 // The pass through the records of an export: once, piece by piece, each decoded into the caller's memory.
@@ -248,9 +252,10 @@ impl<'a> Walk<'a> {
         Ok(Self { export, order, rows, log, done: 0, figures: Figures::default(), failure: None })
     }
 
-    /// Replaces the vector's content with the CSI of the next records. It is empty after the last record, once the export was
-    /// stopped, or if the log cannot be read further ([`Walk::finish`] reports it).
-    pub fn next(&mut self, csi: &mut Vec<Complex32>) {
+    /// Replaces the vector's content with the CSI of the next records, and returns the number of the first one. `None`, and no
+    /// CSI, after the last record, once the export was stopped, or if the log cannot be read further ([`Walk::finish`] reports
+    /// it).
+    pub fn next(&mut self, csi: &mut Vec<Complex32>) -> Option<usize> {
         let log_piece = (LOG_PIECE / (size_of::<Complex32>() * self.rows.len().max(1))).max(1);
         let size = if self.log.is_some() { log_piece } else { PIECE };
         let from = self.done;
@@ -272,6 +277,7 @@ impl<'a> Walk<'a> {
                 }
             }
         }
+        (!csi.is_empty()).then_some(from)
     }
 
     /// Reads and decodes the records after the decoded ones, starting with number `from`.

@@ -45,12 +45,7 @@ pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, Failure> {
     let mut writer =
         ArrowWriter::try_new_with_options(out, schema(export, &none), options).map_err(io::Error::other)?;
     let (mut walk, mut csi) = (Walk::new(export, Order::SubcarriersLast)?, Vec::new());
-    loop {
-        let first = walk.figures.scale.len();
-        walk.next(&mut csi);
-        if csi.is_empty() {
-            break;
-        }
+    while let Some(first) = walk.next(&mut csi) {
         let columns = batch(export, &walk.figures, first, &csi)?;
         let schema = schema(export, &columns);
         let arrays = columns.into_iter().map(|(_, array)| array).collect();

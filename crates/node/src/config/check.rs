@@ -14,7 +14,7 @@ use csi5300_ros2::name_part;
 use csi5300_ros2::settings::{self, Distribution, Wrong};
 use csi5300_sim::Scene;
 use csi5300_sim::motion::RobotMotion;
-use csi5300_sim::toml_lines::{Step, TomlLines};
+use csi5300_sim::toml_lines::TomlLines;
 use driver_iface::bfee::Antenna;
 use nix::unistd::{AccessFlags, access};
 use std::collections::BTreeSet;
@@ -80,8 +80,7 @@ pub(super) fn problems(
 impl Check<'_> {
     /// The line of the value at `place`: keys and numbers of items from the root, `peer.0.records.replay.file`.
     fn line(&self, place: &str) -> Option<usize> {
-        let step = |key| str::parse(key).map_or(Step::Key(key), Step::Index);
-        self.lines.line(&place.split('.').map(step).collect::<Vec<Step<'_>>>())
+        self.lines.line(place.split('.'))
     }
 
     /// Refuses the value at `place`.
@@ -91,8 +90,7 @@ impl Check<'_> {
 
     /// Refuses the value that a table at the place has for a robot, whose name may be anything.
     fn refuse_name(&mut self, table: &str, name: &str, reason: String) {
-        let place: Vec<Step<'_>> = table.split('.').chain([name]).map(Step::Key).collect();
-        self.problems.push(Problem { line: self.lines.line(&place), reason });
+        self.problems.push(Problem { line: self.lines.line(table.split('.').chain([name])), reason });
     }
 
     /// Refuses a key of a table, or the table.

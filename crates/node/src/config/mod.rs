@@ -562,8 +562,7 @@ impl Antennas {
         let baselines_m: Vec<Vector3<f64>> = self.baselines_m.iter().map(|m| Vector3::from(*m)).collect();
         let constant = |[deg, sd_deg]: &[f64; 2]| ChainConstant { rad: deg.to_radians(), sd_rad: sd_deg.to_radians() };
         let constants: Vec<ChainConstant> = self.chain_constants_deg.iter().map(constant).collect();
-        let array = Array::new(&self.antennas, &baselines_m)?;
-        if constants.is_empty() { Ok(array) } else { array.with_constants(&constants) }
+        Array::new(&self.antennas, &baselines_m)?.with_constants(&constants)
     }
 }
 

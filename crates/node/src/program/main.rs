@@ -60,14 +60,7 @@ fn main() -> ExitCode {
         Some(Command::Node(args)) => run(&args),
         None => run(&cli.service),
     };
-    detail!("{}", csi5300_say::used(begun));
-    result.map_or_else(
-        |message| {
-            wrong!("{message}");
-            Outcome::Nothing.into()
-        },
-        ExitCode::from,
-    )
+    csi5300_say::ended(begun, result)
 }
 
 // Arguments of the service.

@@ -406,7 +406,7 @@ pub(crate) fn offline(capture: &Path, camera: Option<CameraMount>) -> Offline {
     let (rx, trajectory, txs) = (named("csi_rx_").remove(0), named(poses).remove(0), named("csi_tx"));
     let (mut path, _) = csi5300::motion::odometry::csv::read(&trajectory, None).unwrap();
     if let Some(camera) = camera {
-        path = path.rolling(&camera.mount()).unwrap().with_antenna_offset([0.05, 0.16, 0.0].into()).unwrap();
+        path = path.of_antenna(Some(camera.mount()), Some([0.05, 0.16, 0.0].into())).unwrap();
     }
     let mut logs: Vec<_> = txs.iter().map(|tx| Replay::open(tx).unwrap()).collect();
     let transmitters =
