@@ -150,8 +150,8 @@ impl Capture {
         let heading_sd_rad = fit.map_or(heading_sd_rad, |fit| fit.heading_sd_rad(heading_sd_rad));
         let rx_path = self.receiver_log();
         let mut all = std::iter::once(&trajectory).chain(moved.iter().flatten());
-        let parted = all.find_map(|path| report.receiver.survey.clocks_part(path, &options));
-        notes.extend(parted.map(|words| format!("{}: {words}", rx_path.display())));
+        let contradiction = all.find_map(|path| report.receiver.survey.contradiction(path, &options));
+        notes.extend(contradiction.map(|words| format!("{}: {words}", rx_path.display())));
         notes.extend(report.clock_doubt().map(|doubt| format!("{}: {doubt}", rx_path.display())));
         let paths = match source {
             TrajectorySource::GroundTruth => moved,
