@@ -38,20 +38,14 @@ impl ClockOffset {
         let each = || links.iter().flatten().map(|bearing| &bearing.found.at_other_times).filter(|own| !own.is_empty());
         each().next()?;
         let logs: Vec<f64> = (0..offsets_s().len()).map(|k| each().map(|own| own[k]).sum()).collect();
-        // Parabolas between the steps.
-        let between = |(k, offset_s): (usize, f64)| {
-            let logs = logs.get(k.checked_sub(1)?..k + 2)?;
-            let (slope, bend) = (0.5 * (logs[2] - logs[0]), logs[2] - 2.0 * logs[1] + logs[0]);
-            let at = [-0.4, -0.2, 0.0, 0.2, 0.4];
-            Some(at.map(|u| (offset_s + u * STEP_S, logs[1] + slope * u + 0.5 * bend * u * u)))
-        };
-        let all: Vec<(f64, f64)> = offsets_s().enumerate().filter_map(between).flatten().collect();
+        let all = || offsets_s().zip(logs.iter().copied());
         let given = logs[logs.len() / 2];
-        let (offset_s, highest) = *all.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
-        let weighed = all.iter().map(|(own_s, log)| ((log - highest).exp(), (own_s - offset_s).powi(2)));
+        let (offset_s, highest) = all().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let weighed = all().map(|(own_s, log)| ((log - highest).exp(), (own_s - offset_s).powi(2)));
         let (total, square) = weighed.fold((0.0, 0.0), |(total, sum), (by, square)| (total + by, sum + by * square));
-        // The fine steps are uniform within themselves.
-        let sd_s = (square / total + STEP_S * STEP_S / 300.0).sqrt();
+        // The steps are uniform within themselves.
+        let step_s = all().nth(1)?.0 - all().next()?.0;
+        let sd_s = (square / total + step_s * step_s / 12.0).sqrt();
         let log_ratio = highest - given;
         let doubt = log_ratio > DOUBT && offset_s.abs() > APART * sd_s;
         let found = Self { offset_s: options.clock_offset_s + offset_s, sd_s, log_ratio, doubt };
