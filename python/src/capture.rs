@@ -19,7 +19,6 @@ use csi5300::time::Instant;
 use csi5300_lab::kinds::trajectory_refused;
 use csi5300_lab::table::{Arena, NO_TIME, antennas};
 use driver_iface::record::{Record, Tail};
-use numpy::ndarray::ArrayView1;
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
@@ -143,27 +142,6 @@ fn poses(rows: &PyReadonlyArray2<'_, f64>, columns: Option<&Columns>) -> Result<
             let why = "the second column is whole, as x seldom is and nanoseconds are".to_owned();
             return Err(CsvError::Ambiguous { why, readings: ["t,x,y,z,yaw", "t,ns,x,y,z"].map(str::to_owned) });
         }
-        // Poses with unknown heading.
-        if rows.column(4).iter().any(|heading| !heading.is_finite()) {
-            let pose = |row: ArrayView1<'_, f64>| {
-                let value = |column: usize| row.get(column).copied().unwrap_or(f64::NAN);
-                let position_m = Vector3::new(value(1), value(2), value(3));
-                Pose { t_s: value(0), position_m, heading_rad: Some(value(4)).filter(|heading| heading.is_finite()) }
-            };
-            // As of a file, rows without a time or a place are skipped and counted.
-            let mut counts = CsvCounts::default();
-            let mut poses = Vec::new();
-            for (line, row) in (1..).zip(rows.rows()) {
-                match row.iter().take(4).position(|value| !value.is_finite()) {
-                    None => poses.push(pose(row)),
-                    Some(column) => {
-                        counts.bad_rows += 1;
-                        counts.first_bad.get_or_insert((line, format!("column {} is not a finite number", column + 1)));
-                    }
-                }
-            }
-            return Ok((Trajectory::new(poses)?, counts));
-        }
     }
     // As text, so that a row has the same meaning as in a file.
     let mut text = String::new();
@@ -232,7 +210,7 @@ pub fn bearings(
     let moved = moved.collect::<PyResult<Vec<_>>>()?;
     let pool = if keywords.threads == 0 { pool()? } else { Arc::new(build(keywords.threads)?) };
     let every_s = keywords.every;
-    let (report, stretches, options, parted) = interruptible(py, &stop, move || {
+    let (report, stretches, options, contradiction) = interruptible(py, &stop, move || {
         pool.install(move || {
             let trajectory = |k: usize| moved.get(k).and_then(Option::as_ref);
             let transmitters = logs.iter_mut().enumerate();
@@ -244,11 +222,12 @@ pub fn bearings(
             })?;
             let paths: Vec<_> = (0..report.links.len()).map(trajectory).collect();
             let cut = every_s.map(|every_s| report.in_stretches(&own, &paths, every_s, &options));
-            let parted = report.clocks_part(std::iter::once(&own).chain(paths.into_iter().flatten()), &options);
-            Ok((report, cut.unwrap_or_default(), options, parted))
+            let contradiction =
+                report.contradiction(std::iter::once(&own).chain(paths.into_iter().flatten()), &options);
+            Ok((report, cut.unwrap_or_default(), options, contradiction))
         })
     })?;
-    parted.map_or(Ok(()), |words| warn(py, &words))?;
+    contradiction.map_or(Ok(()), |words| warn(py, &format!("rx: {words}")))?;
     let mut stretches = stretches.into_iter();
     let links = names.into_iter().zip(report.links).zip(&report.transmitters);
     let answer = |((name, link), log): ((String, LinkReport), &LogReport)| {
@@ -277,13 +256,13 @@ pub fn one_log(
     let stop = Stop::default();
     let mut log = Stoppable { source: source(rx, &stop)?, stop: stop.clone() };
     let own = keywords.of_antenna(trajectory(path, keywords.columns()?.as_ref())?)?;
-    let (report, options, parted) = interruptible(py, &stop, move || {
+    let (report, options, contradiction) = interruptible(py, &stop, move || {
         let report = estimate_one_log(&mut log, &own, &array, &options);
         let report = report.map_err(|error| Failure::new(Kind::Capture, error))?;
-        let parted = report.clocks_part([&own], &options);
-        Ok((report, options, parted))
+        let contradiction = report.contradiction([&own], &options);
+        Ok((report, options, contradiction))
     })?;
-    parted.map_or(Ok(()), |words| warn(py, &words))?;
+    contradiction.map_or(Ok(()), |words| warn(py, &format!("rx: {words}")))?;
     if report.links.is_empty() {
         let why = format!("{name}: no record has the CSI of all named antennas ({letters})");
         return Err(Failure::new(Kind::Capture, why).into());

@@ -62,6 +62,14 @@ def test_rows_of_an_array_without_a_place_are_skipped_as_those_of_a_file(rx: Pat
     assert bearing.azimuth_deg == pytest.approx(of_file.azimuth_deg, abs=0.1)
 
 
+def test_logs_that_contradict_themselves_or_the_channel_warn(rx: Path, tx: Path, path_csv: Path) -> None:
+    backward = csi5300.read(rx)[::-1]
+    with pytest.warns(UserWarning, match=r"\d+ of \d+ records are older than the one before: sort them by time"):
+        csi5300.bearings(backward, tx, trajectory=path_csv, channel=108)
+    with pytest.warns(UserWarning, match=r"records are 20 MHz wide, channel 108\+ is not.*: name it 108"):
+        csi5300.bearings(rx, tx, trajectory=path_csv, channel="108+")
+
+
 def test_what_a_notebook_shows_fits_on_a_line_or_in_a_table(rx: Path, tx: Path, path_csv: Path) -> None:
     (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     text = repr(bearing)

@@ -18,6 +18,11 @@ use std::f64::consts::TAU;
 /// Largest shift and step, seconds.
 const REACH_S: f64 = 3.0;
 pub(crate) const STEP_S: f64 = 0.1;
+/// While the robot drives for a step, a path may turn by so much; then smaller steps are looked at, down to a fifth.
+const TURNS: f64 = 0.4;
+const FINEST: i32 = 5;
+/// One shift in so many is looked at closely: the likeliest ones by the turned place alone.
+const CLOSELY: usize = 3;
 /// Longer motions are not compared, seconds: the robot rested in between, or they were recorded in parts.
 const LONGEST_S: f64 = 300.0;
 /// A shifted motion less alike than this is not only turned: any direction may be right by it.
@@ -42,8 +47,8 @@ pub(crate) struct OtherTimes<'a> {
 
 /// Seconds to be added to the times of the samples: what [`OtherTimes::logs`] has values for.
 pub(crate) fn offsets_s() -> impl DoubleEndedIterator<Item = f64> + ExactSizeIterator {
-    let steps = (REACH_S / STEP_S).round() as i32;
-    (-steps..steps + 1).map(|k| f64::from(k) * STEP_S)
+    let steps = ((REACH_S / STEP_S).round() as i32 - 1) * FINEST + FINEST / 2;
+    (-steps..steps + 1).map(|k| f64::from(k) * STEP_S / f64::from(FINEST))
 }
 
 impl OtherTimes<'_> {
@@ -86,19 +91,60 @@ impl OtherTimes<'_> {
         let times_s = bins.means_of(&times_s);
         let apart_rad = wavelength_m / f64::from(samples.path_gain()) / radius_m(&model.points);
         let at = |azimuth: f64| model.prior.at_height(Place { azimuth, ..place });
-        let beside = |field: &Field, azimuth: f64| {
+        let beside = |field: &Field, azimuth: f64, beside: i32| {
             let near = |k: i32| at(azimuth + f64::from(k) * AZIMUTH_STEP * apart_rad);
-            log_sum(&field.log_likelihoods(&(-BESIDE..=BESIDE).map(near).collect::<Vec<_>>()))
+            log_sum(&field.log_likelihoods(&(-beside..=beside).map(near).collect::<Vec<_>>()))
         };
-        let log = |offset_s: f64| {
+        let turns = STEP_S / (to_s - from_s) * path_m * f64::from(samples.path_gain()) / wavelength_m;
+        let fine = ((turns / TURNS).ceil() as i32).clamp(1, FINEST);
+        let steps = (REACH_S / STEP_S).round() as i32 * fine;
+        let log = |k: i32, closely: bool| {
+            let offset_s = STEP_S * f64::from(k) / f64::from(fine);
             let shifted: Vec<Vector3<f64>> = times_s.iter().map(|t_s| path.at(t_s + offset_s)).collect();
-            field.set_points(&shifted);
             let (turned_rad, alike) = turned(&own, &shifted);
-            let by_turn = beside(&field, place.azimuth + turned_rad);
-            if alike >= ALIKE { by_turn } else { by_turn.max(beside(&field, likeliest_rad(&field, model, at))) }
+            if alike < ALIKE && k % fine != 0 {
+                return None;
+            }
+            field.set_points(&shifted);
+            let beside_it = if closely || alike < ALIKE { BESIDE } else { 0 };
+            let by_turn = beside(&field, place.azimuth + turned_rad, beside_it);
+            let anywhere = (alike < ALIKE).then(|| beside(&field, likeliest_rad(&field, model, at), BESIDE));
+            Some(Log { log: anywhere.map_or(by_turn, |log| by_turn.max(log)), is_close: beside_it > 0 })
         };
-        offsets_s().map(log).collect()
+        let logs = searched((steps, fine as usize), log);
+        offsets_s().map(|offset_s| parabola(&logs, 1, (offset_s + REACH_S) / STEP_S * f64::from(fine))).collect()
     }
+}
+
+/// `ln` of the likelihood at one shift, and whether azimuths beside the turned one were looked at, too.
+#[derive(Clone, Copy)]
+struct Log {
+    log: f64,
+    is_close: bool,
+}
+
+/// `ln` of the likelihood at each shift from `-steps` to `steps`, the likeliest and the middle looked at closely. What `log` leaves out
+/// is between every `fine`-th one.
+fn searched((steps, fine): (i32, usize), mut log: impl FnMut(i32, bool) -> Option<Log>) -> Vec<f64> {
+    let mut logs: Vec<Option<Log>> = (-steps..=steps).map(|k| log(k, false)).collect();
+    let all = logs.iter().zip(-steps..).filter_map(|(own, k)| own.map(|own| (own, k)));
+    let mut open: Vec<(Log, i32)> = all.filter(|(own, _)| !own.is_close).collect();
+    open.sort_by(|a, b| b.0.log.total_cmp(&a.0.log));
+    let closely = open.len().div_ceil(CLOSELY);
+    for (_, (_, k)) in open.into_iter().enumerate().filter(|(rank, (_, k))| *rank < closely || *k == 0) {
+        logs[(k + steps) as usize] = log(k, true);
+    }
+    let logs: Vec<f64> = logs.iter().map(|own| own.map_or(f64::NAN, |own| own.log)).collect();
+    let filled = |k: usize| if logs[k].is_nan() { parabola(&logs, fine, k as f64) } else { logs[k] };
+    (0..logs.len()).map(filled).collect()
+}
+
+/// The value at `at` of a row that is known at every so many places: a parabola through the nearest three.
+fn parabola(row: &[f64], every: usize, at: f64) -> f64 {
+    let middle = ((at / every as f64).round() as usize * every).clamp(every, row.len() - 1 - every);
+    let [before, here, after] = [middle - every, middle, middle + every].map(|k| row[k]);
+    let u = (at - middle as f64) / every as f64;
+    here + 0.5 * (after - before) * u + 0.5 * (before - 2.0 * here + after) * u * u
 }
 
 /// A path in equal steps of time.

@@ -110,12 +110,15 @@ pub(crate) enum TrajectoryKind {
     Camera,
     /// The same, of which only rolling motion was kept.
     RollingCamera,
-    /// The robot's wheels.
+    /// The robot's wheels; where the antenna is on the robot is not known.
     Wheels,
+    /// The same, where it is known: the path is the antenna's.
+    MountedWheels,
 }
 
 impl TrajectoryKind {
-    /// By the words of headings, of the names of frames or of a file, where they name a sensor; `odom` names none.
+    /// By the words of headings, of the names of frames or of a file, where they name a sensor. `odom` names none, but in ROS, where
+    /// it is the parent of the robot's frame ([`Self::of_frames`]).
     #[must_use]
     pub(super) fn of_words(text: &str) -> Self {
         let text = text.to_lowercase();
@@ -126,6 +129,16 @@ impl TrajectoryKind {
             () if has(&["wheel", "wheels", "encoder", "encoders"]) => Self::Wheels,
             () if has(&["mocap", "vicon", "optitrack", "vrpn", "qualisys"]) => Self::MotionCapture,
             () => Self::Unknown,
+        }
+    }
+
+    /// By the frames of ROS, parent and child: those of `nav_msgs/Odometry` and of `/tf`.
+    #[must_use]
+    pub(super) fn of_frames(frames: &str) -> Self {
+        let is_odometry = |(parent, child): (&str, &str)| parent.ends_with("odom") && !child.is_empty();
+        match Self::of_words(frames) {
+            Self::Unknown if frames.split_once(" -> ").is_some_and(is_odometry) => Self::Wheels,
+            kind => kind,
         }
     }
 }
@@ -364,7 +377,7 @@ impl Trajectory {
             TrajectoryKind::Unknown => "odom",
             TrajectoryKind::MotionCapture => "mocap",
             TrajectoryKind::Camera | TrajectoryKind::RollingCamera => "camera_odom",
-            TrajectoryKind::Wheels => "wheel_odom",
+            TrajectoryKind::Wheels | TrajectoryKind::MountedWheels => "wheel_odom",
         }
     }
 
@@ -550,6 +563,9 @@ impl Trajectory {
         let mut moved = self.clone();
         for pose in &mut moved.poses {
             *pose = pose.mounted(offset_m)?;
+        }
+        if moved.kind == TrajectoryKind::Wheels {
+            moved.kind = TrajectoryKind::MountedWheels;
         }
         Ok(moved)
     }
@@ -934,6 +950,8 @@ mod tests {
                 assert!(off_s <= 0.25 * step_s + 0.0101, "{step_s}: {} for {}", pose.t_s, truth.t_s);
             }
             let antenna = read.with_antenna_offset(Vector3::z()).unwrap();
+            let wheels = read.clone().with_kind(TrajectoryKind::Wheels).with_antenna_offset(Vector3::z()).unwrap();
+            assert_eq!((antenna.kind(), wheels.kind()), (TrajectoryKind::Unknown, TrajectoryKind::MountedWheels));
             assert_eq!(antenna.rounding_sd_rad(), read.rounding_sd_rad());
             // A part is of the same sensor and times.
             let (start_s, end_s) = read.span_s();

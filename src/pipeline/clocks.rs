@@ -4,7 +4,9 @@ use super::draft::{Clocks, LinkJoin, estimate_with};
 use super::{Bearing, CaptureReport, JoinBy, LinkError, Options};
 use crate::estimate::clock::{STEP_S, offsets_s};
 use crate::motion::pose::{Gap, Trajectory};
+use crate::signal::channel::Channel;
 use crate::source::survey::{HostSteps, SET_US, Survey};
+use driver_iface::bfee::rate::HT40;
 use serde::Serialize;
 use std::fmt;
 
@@ -36,20 +38,14 @@ impl ClockOffset {
         let each = || links.iter().flatten().map(|bearing| &bearing.found.at_other_times).filter(|own| !own.is_empty());
         each().next()?;
         let logs: Vec<f64> = (0..offsets_s().len()).map(|k| each().map(|own| own[k]).sum()).collect();
-        // Parabolas between the steps.
-        let between = |(k, offset_s): (usize, f64)| {
-            let logs = logs.get(k.checked_sub(1)?..k + 2)?;
-            let (slope, bend) = (0.5 * (logs[2] - logs[0]), logs[2] - 2.0 * logs[1] + logs[0]);
-            let at = [-0.4, -0.2, 0.0, 0.2, 0.4];
-            Some(at.map(|u| (offset_s + u * STEP_S, logs[1] + slope * u + 0.5 * bend * u * u)))
-        };
-        let all: Vec<(f64, f64)> = offsets_s().enumerate().filter_map(between).flatten().collect();
+        let all = || offsets_s().zip(logs.iter().copied());
         let given = logs[logs.len() / 2];
-        let (offset_s, highest) = *all.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
-        let weighed = all.iter().map(|(own_s, log)| ((log - highest).exp(), (own_s - offset_s).powi(2)));
+        let (offset_s, highest) = all().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let weighed = all().map(|(own_s, log)| ((log - highest).exp(), (own_s - offset_s).powi(2)));
         let (total, square) = weighed.fold((0.0, 0.0), |(total, sum), (by, square)| (total + by, sum + by * square));
-        // The fine steps are uniform within themselves.
-        let sd_s = (square / total + STEP_S * STEP_S / 300.0).sqrt();
+        // The steps are uniform within themselves.
+        let step_s = all().nth(1)?.0 - all().next()?.0;
+        let sd_s = (square / total + step_s * step_s / 12.0).sqrt();
         let log_ratio = highest - given;
         let doubt = log_ratio > DOUBT && offset_s.abs() > APART * sd_s;
         let found = Self { offset_s: options.clock_offset_s + offset_s, sd_s, log_ratio, doubt };
@@ -111,19 +107,46 @@ fn settle<T>(found: &mut ClockOffset, at: impl Fn(f64) -> (Option<ClockOffset>, 
 }
 
 impl CaptureReport {
-    /// In words, if the host's clock of the receiver's log or that of one of the `trajectories` was set while both ran and the other was
-    /// not: one part of the log then has poses of other times. `None` if poses are joined row by row.
-    pub fn clocks_part<'a>(
+    /// In words, if the receiver's log contradicts what it is read with, or itself: the channel's width, the order of its records, or
+    /// the times of one of the `trajectories`.
+    pub fn contradiction<'a>(
         &self,
         trajectories: impl IntoIterator<Item = &'a Trajectory>,
         options: &Options,
     ) -> Option<String> {
-        trajectories.into_iter().find_map(|path| self.receiver.survey.clocks_part(path, options))
+        trajectories.into_iter().find_map(|path| self.receiver.survey.contradiction(path, options))
     }
 }
 
 impl Survey {
-    /// In words, if the host's clock or the trajectory's was set while both ran and the other was not.
+    fn contradiction(&self, trajectory: &Trajectory, options: &Options) -> Option<String> {
+        let width = self.other_width(options.channel);
+        width.or_else(|| self.disorder()).or_else(|| self.clocks_part(trajectory, options))
+    }
+
+    /// In words, if the card's clock goes back again and again; in 145 real logs it never does.
+    fn disorder(&self) -> Option<String> {
+        let (back, all) = (self.clock_steps.steps_back, self.bfees());
+        (10 * back > all).then(|| {
+            format!("{back} of {all} records are older than the one before: sort them by time, or separate those of several cards")
+        })
+    }
+
+    /// In words, if most records are of another width than the channel, whose centre is then another.
+    fn other_width(&self, channel: Channel) -> Option<String> {
+        let count =
+            |is_wide| self.rates.iter().filter(|(rate, _)| (*rate & HT40 != 0) == is_wide).map(|(_, n)| n).sum();
+        let [narrow, wide]: [u64; 2] = [false, true].map(count);
+        let (width, most) = if wide > narrow { (40, wide) } else { (20, narrow) };
+        let renamed = channel.renamed(wide > narrow).filter(|_| most > 0)?;
+        Some(format!(
+            "{most} of {} records are {width} MHz wide, channel {channel} is not, and has another centre: name it {renamed}",
+            narrow + wide
+        ))
+    }
+
+    /// In words, if the host's clock or the trajectory's was set while both ran and the other was not: one part of the log then has
+    /// poses of other times. `None` if poses are joined row by row.
     fn clocks_part(&self, trajectory: &Trajectory, options: &Options) -> Option<String> {
         let offset_s = options.clock_offset_s;
         let (first_us, last_us) = self.host_us.filter(|_| options.join == JoinBy::Time)?;
@@ -161,7 +184,45 @@ impl Survey {
 mod tests {
     use super::*;
     use crate::motion::pose::Pose;
+    use crate::signal::channel::Width;
     use nalgebra::Vector3;
+
+    #[test]
+    fn records_of_another_width_than_the_channels_are_told() {
+        let told = |rates: &[(u16, u64)], channel: &str| {
+            let mut survey = Survey::default();
+            survey.rates = rates.iter().copied().collect();
+            survey.other_width(channel.parse().unwrap())
+        };
+        let (narrow, wide) = ([(0x101, 9), (0x901, 1)], [(0x101, 1), (0x901, 9)]);
+        let words = "9 of 10 records are 40 MHz wide, channel 108 is not, and has another centre: name it 108+";
+        assert_eq!(told(&wide, "108"), Some(words.to_owned()));
+        assert!(
+            told(&narrow, "112-")
+                .unwrap()
+                .ends_with("are 20 MHz wide, channel 112- is not, and has another centre: name it 112")
+        );
+        assert!(told(&wide, "6").unwrap().ends_with("name it 6+ or 6-"));
+        assert_eq!(
+            [told(&wide, "108+"), told(&wide, "5550MHz"), told(&narrow, "108"), told(&[], "108+")],
+            [const { None }; 4]
+        );
+        // A truth file names a channel of 40 MHz by its centre.
+        let mut survey = Survey::default();
+        survey.rates = [(0x901, 9)].into();
+        assert_eq!(survey.other_width(Channel::new(110, Width::Ht20).unwrap()), None);
+    }
+
+    #[test]
+    fn records_in_another_order_than_that_of_time_are_told() {
+        let of = |steps_back| {
+            let mut survey = Survey::default();
+            (survey.wsr, survey.clock_steps.steps_back) = (100, steps_back);
+            survey.disorder()
+        };
+        assert_eq!((of(0), of(10), Survey::default().disorder()), (None, None, None));
+        assert!(of(99).unwrap().starts_with("99 of 100 records are older than the one before: sort them"));
+    }
 
     #[test]
     fn a_clock_that_was_set_while_the_other_was_not_is_told() {

@@ -29,7 +29,7 @@ use crate::bartlett;
 use crate::estimate::likelihood::{Place, Ways};
 use crate::estimate::{Found, MovingArray, Task, estimate, heading};
 use crate::maths::wrap_rad;
-use crate::motion::pose::{Trajectory, TrajectoryError};
+use crate::motion::pose::{Trajectory, TrajectoryError, TrajectoryKind};
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::{Planes, lanes};
 use crate::signal::samples::Samples;
@@ -721,8 +721,11 @@ impl Joined {
         // A ruler measured the baseline; noise of the attitude makes a small turn seem larger (errors in variables).
         let noise = if together.anchors > 0 { 0.0 } else { self.noise_of_turn() };
         let (bend_rad, scale_sd) = (0.0, heading::scale_sd(noise));
-        let task =
-            Task { bend_rad, scale_sd, drive: together.drive.as_ref(), ..options.task(&together.samples, trajectory) };
+        // Turns show the direction wherever the antennas are on the robot.
+        let at_wheels = (trajectory.kind() == TrajectoryKind::Wheels).then_some(heading::WHEELS_RAD);
+        let options = Options { heading_sd_rad: options.heading_sd_rad.or(at_wheels), ..options.clone() };
+        let drive = together.drive.as_ref();
+        let task = Task { bend_rad, scale_sd, drive, ..options.task(&together.samples, trajectory) };
         Ok(estimate(&task, rows, &all)?)
     }
 

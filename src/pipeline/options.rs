@@ -174,7 +174,8 @@ impl Options {
         let usual_deg = match trajectory.kind() {
             TrajectoryKind::Camera => sensor::CAMERA_DEG,
             TrajectoryKind::RollingCamera => sensor::ROLLING_CAMERA_DEG,
-            TrajectoryKind::Wheels => sensor::WHEELS_DEG,
+            TrajectoryKind::MountedWheels => sensor::WHEELS_DEG,
+            TrajectoryKind::Wheels => sensor::UNMOUNTED_DEG,
             TrajectoryKind::MotionCapture | TrajectoryKind::Unknown => sensor::MOTION_CAPTURE_DEG,
         };
         self.heading_sd_rad.unwrap_or(usual_deg.to_radians()).hypot(trajectory.rounding_sd_rad())

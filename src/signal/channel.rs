@@ -121,6 +121,21 @@ impl Channel {
         self.width
     }
 
+    /// True if it is named by its centre, which shows no width: in MHz, or by a number that no channel of 20 MHz has.
+    fn is_centre(self) -> bool {
+        self.centre_mhz.is_some() || (self.width == Width::Ht20 && !is_assigned(self.number))
+    }
+
+    /// How records of this width name the channel, if it is named as one of the other width.
+    pub(crate) fn renamed(self, is_wide: bool) -> Option<String> {
+        if self.is_centre() || is_wide == (self.width != Width::Ht20) {
+            return None;
+        }
+        let named = |sign| Self::from_str(&format!("{}{sign}", self.number)).ok().map(|channel| channel.to_string());
+        let signs: &[&str] = if is_wide { &["+", "-"] } else { &[""] };
+        Some(signs.iter().filter_map(named).collect::<Vec<_>>().join(" or "))
+    }
+
     /// Centre of the channel (of both halves at 40 MHz), Hz: the frequency of subcarrier 0 (802.11-2016 17.3.8.4, 19.3.15).
     #[must_use]
     pub fn centre_hz(self) -> f64 {

@@ -196,6 +196,23 @@ fn clocks_that_differ_are_told_with_their_offset() {
     }
 }
 
+/// Between the steps of the comparison, too: while these robots drive for a step, the phases turn once or twice.
+#[test]
+fn clocks_that_differ_by_any_time_are_told() {
+    let slow = "{ circle = { radius_m = 0.3, duration_s = 6.0, start_s = 2.5 } }";
+    let fast = "{ circle = { radius_m = 0.5, duration_s = 5.0, start_s = 2.5 } }";
+    for (motion, has_walls) in [(slow, true), (slow, false), (fast, true), (fast, false)] {
+        let run = three_robots(motion, 1, has_walls);
+        for offset_s in [-0.75, -0.33, -0.25, 0.17, 0.25, 0.5, 1.04] {
+            let doubt = at_clock_offset(&run, offset_s, JoinBy::Time).clock_doubt();
+            assert!(
+                doubt.is_some_and(|found| found.offset_s.abs() < 0.1),
+                "{motion} {has_walls} {offset_s}: {doubt:?}"
+            );
+        }
+    }
+}
+
 /// What wheels report whose lengths are too short, of a point that the antenna is seen from.
 fn wheels(run: &Simulation) -> Trajectory {
     let middle = run.robots[0].true_path.as_ref().unwrap().with_antenna_offset(-ANTENNA_M).unwrap();

@@ -6,6 +6,7 @@ use super::room::{Room, append};
 use super::scene::{Card, Driver, Scene};
 use super::sounder::FrameRole;
 use csi5300::motion::odometry::{NextPose, OdometrySource};
+use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::{Error, side_path};
 use csi5300::time::Instant;
 use driver_iface::record::Record;
@@ -307,8 +308,13 @@ fn write_positions(room: &Room, receiver: usize, folder: &Path) -> Result<(), Er
         });
         places.insert(format!("tx{robot}"), place);
     }
+    let mut channel = serde_json::json!(room.scene().channel);
+    // A number is that of 20 MHz, or shows no width.
+    if let (40, Ok(own)) = (room.scene().bandwidth_mhz, Channel::new(room.scene().channel.into(), Width::Ht20)) {
+        channel = format!("{:.0}MHz", own.centre_hz() / 1e6).into();
+    }
     let all = serde_json::json!({
-        "channel": { "desc": "WiFi channel; at 40 MHz and more that of the centre", "value": room.scene().channel },
+        "channel": { "desc": "WiFi channel; at 40 MHz and more that of the centre", "value": channel },
         "true_rx_position": { "desc": "Position of RX_SAR robot as per the dataset map", "value": 1 },
         "true_tx_positions": { "desc": "True groundtruth positions of TX for checking accuracy", "value": places },
     });

@@ -328,8 +328,10 @@ def bearings(
     middle. ``columns`` (``"t,x,y,yaw"``) names the columns of trajectory files and arrays. ``decimate`` uses every n-th pair of
     frames, as slower sounding would give. ``every`` (seconds) fills :attr:`Bearing.stretches`, ``explain`` ``answer["plan"]``,
     ``range_change`` ``answer["range_change"]`` and an array of :attr:`Bearing.samples`. ``fit="odometry"`` corrects the trajectory
-    by the phases of all links first: ``answer["odometry_fit"]``. A link without a bearing is in the list, is False, and has an :attr:`Bearing.error`. The same applies to a link whose probability of being within 5 degrees is below
-    ``min_confidence`` or unknown.
+    by the phases of all links first: ``answer["odometry_fit"]``. ``heading_sd`` (degrees) is the deviation of the trajectory's heading:
+    arrays, and files that name no sensor, count as motion capture (0.3); a tracking camera has 4, wheels 20, or 1.5 with
+    ``antenna_offset``. A link without a bearing is in the list, is False, and has an :attr:`Bearing.error`. The same applies to a
+    link whose probability of being within 5 degrees is below ``min_confidence`` or unknown.
 
     Without ``tx``: the bearing to every sender in ``rx``, from two or three ``antennas`` (``"AB"``) of one robot that turns.
     ``baseline`` is the first antenna's position relative to the second, metres forward, left, up; for three antennas a list of two.

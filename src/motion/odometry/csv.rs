@@ -716,7 +716,9 @@ impl Column {
         let number_of_column = self.at + 1;
         let cell = row.get(self.at).copied().unwrap_or_default();
         let dated = || (self.what == What::Time).then(|| date_time(cell)).flatten();
-        let read = number(cell).or_else(dated).filter(|value| value.is_finite());
+        // NaN is a heading that is not known.
+        let is_unknown = |value: &f64| self.what == What::Yaw && value.is_nan();
+        let read = number(cell).or_else(dated).filter(|value| value.is_finite() || is_unknown(value));
         let read = read.ok_or(RowError::Number(number_of_column))?;
         let scale = self.scale.unwrap_or_else(|| match read.abs() {
             // Since 1970, of seconds, milliseconds, microseconds and nanoseconds no two are of one size.
@@ -761,8 +763,9 @@ impl Columns {
         if let Some(part) = self.column(What::Nanoseconds).filter(|_| nanoseconds != 0.0 && time.fract() != 0.0) {
             return Err(RowError::Nanoseconds(part.at + 1));
         }
-        let quaternion = values[What::Qw as usize].map(|_| [qx, qy, qz, qw]);
-        let mut heading_rad = values[What::Yaw as usize];
+        // ROS's null quaternion is an orientation that was not set.
+        let quaternion = values[What::Qw as usize].map(|_| [qx, qy, qz, qw]).filter(|parts| *parts != [0.0; 4]);
+        let mut heading_rad = values[What::Yaw as usize].filter(|heading| heading.is_finite());
         if quaternion.is_some() {
             let q = Quaternion::new(qw, qx, qy, qz);
             if !(0.9..1.1).contains(&q.norm()) {
@@ -980,7 +983,7 @@ impl Rows {
         }
         let mut kind = columns.kind;
         if kind == TrajectoryKind::Unknown {
-            kind = TrajectoryKind::of_words(self.frames.as_deref().unwrap_or_default());
+            kind = TrajectoryKind::of_frames(self.frames.as_deref().unwrap_or_default());
         }
         if kind == TrajectoryKind::Unknown && columns.exactly == Some(15) {
             // The only two that write 15 columns: wheels know no height, a camera's is never the same twice.
@@ -1189,6 +1192,19 @@ mod tests {
     #[test]
     fn numbers_with_decimal_commas_parted_by_commas_are_no_row() {
         assert_eq!(parse_line(b"10,5,0,1,25,0,002,3,5"), Err(RowError::Quaternion.to_string()));
+    }
+
+    #[test]
+    fn a_heading_may_be_unknown_in_some_rows() {
+        for text in [
+            "t,x,y,yaw\n1,0,0,nan\n2,1,0,0.5\n",
+            "t,x,y,z,qx,qy,qz,qw\n1,0,0,0,0,0,0,0\n2,1,0,0,0,0,0.247404,0.968912\n",
+        ] {
+            let (trajectory, counts) = parse(text.as_bytes(), None).unwrap();
+            let headings: Vec<_> =
+                trajectory.poses().iter().map(|pose| pose.heading_rad.map(|rad| (1e3 * rad).round())).collect();
+            assert_eq!((headings, counts.bad_rows), (vec![None, Some(500.0)], 0), "{text}");
+        }
     }
 
     #[test]
@@ -1626,7 +1642,8 @@ mod tests {
         for (text, kind) in [
             (fifteen(0.5), Wheels),
             (fifteen(0.25), Camera),
-            (ros("odom,base_link"), Unknown),
+            (ros("odom,base_link"), Wheels),
+            (ros("odom,"), Unknown),
             (ros("camera_odom_frame,camera_pose_frame"), Camera),
             (ros("wheel_odom"), Wheels),
             (ros("mocap"), MotionCapture),

@@ -56,7 +56,8 @@ pub(super) fn count(heard: &Heard, _: &Evidence) -> Told {
 
 pub(super) fn gaps(heard: &Heard, evidence: &Evidence) -> Told {
     let missing = heard.survey.bfee_missing as usize;
-    let robots = evidence.near.survey.senders.len();
+    let logs = std::iter::once(&evidence.near).chain(&evidence.far);
+    let robots = logs.map(|log| log.survey.senders.len()).max().unwrap_or(0);
     if heard.survey.senders.len() < robots {
         // The driver counts every frame with CSI.
         return Told::not_tried(format!(

@@ -8,7 +8,7 @@ mod sqlite;
 mod tests;
 
 use crate::cdr::{Cdr, CdrReader};
-use crate::messages::{Csi, Header, Odometry, Pose as PoseMessage, PoseStamped, Time};
+use crate::messages::{Csi, Header, Odometry, Pose as PoseMessage, PoseStamped, Quaternion, Time};
 use driver_iface::bfee::{Iq, Repr, Wsr};
 use driver_iface::record::{Record, code};
 use std::collections::{BTreeMap, BTreeSet};
@@ -372,15 +372,22 @@ fn bytes(channel: &Channel, payload: &[u8]) -> Option<Vec<u8>> {
     }
 }
 
-/// A row with the whole attitude and the frames, which a trajectory's reader compares; `None` without a stamp.
+/// A row with the whole attitude, zeros if it is not set, and the frames, which a trajectory's reader compares; `None` without a
+/// stamp.
 fn row(header: &Header, child_frame: &str, pose: &PoseMessage) -> Option<Vec<u8>> {
-    let pose = pose.isometry().filter(|_| header.stamp != Time::default())?;
+    let mut turned = pose.clone();
+    let is_set = pose.orientation != Quaternion::default();
+    if !is_set {
+        turned.orientation.w = 1.0;
+    }
+    let pose = turned.isometry().filter(|_| header.stamp != Time::default())?;
     let [frame, child] =
         [&header.frame_id, child_frame].map(|name| name.replace([',', ';', '"', '\t', '\r', '\n'], "_"));
-    let (Time { sec, nanosec }, p, q) = (&header.stamp, pose.translation.vector, pose.rotation);
+    let (Time { sec, nanosec }, p) = (&header.stamp, pose.translation.vector);
+    let q = pose.rotation.coords * f64::from(u8::from(is_set));
     let row = format!(
         "{sec},{nanosec},{frame},{child},{:.6},{:.6},{:.6},{:.9},{:.9},{:.9},{:.9}\n",
-        p.x, p.y, p.z, q.i, q.j, q.k, q.w
+        p.x, p.y, p.z, q.x, q.y, q.z, q.w
     );
     Some(row.into_bytes())
 }

@@ -148,6 +148,19 @@ fn poses_keep_their_attitude_and_frame_and_need_a_stamp() {
             "{text}"
         );
     }
+    // ROS's null quaternion: no orientation was set.
+    let own = recorded(|writer| {
+        for number in 1..3 {
+            let Odometry { header, mut pose, .. } = odometry(number);
+            pose.pose.orientation.w = 0.0;
+            put(writer, "/pose", &PoseStamped { header, pose: pose.pose });
+        }
+        writer.finish().unwrap();
+    });
+    let one = Recording::read(&own.0).unwrap().topics.remove(0);
+    let (path, counts) = csv::parse_topic(&one.bytes, "/pose").unwrap();
+    assert_eq!((one.unreadable, counts.bad_rows, path.poses()[1].position_m.x), (0, 0, 1.0));
+    assert!(path.poses().iter().all(|pose| pose.heading_rad.is_none()));
     let why = csv::parse_topic(&read(["odom", "map"]).bytes, "/odom").unwrap_err().to_string();
     assert!(why.contains("poses of `map -> base_link` among those of `odom -> base_link`"), "{why}");
 }

@@ -48,8 +48,8 @@ pub struct Estimation {
     /// Height of the transmitter above the receiver's antenna, if known
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true)]
     pub height: Option<f64>,
-    /// Standard deviation of the trajectory's heading: 0.3 for motion capture, about 4 for a tracking camera, 20 for
-    /// wheels. Error bars, ranges and confidence include it
+    /// Standard deviation of the trajectory's heading: 0.3 for motion capture or an unknown sensor, about 4 for a tracking
+    /// camera, 20 for wheels (1.5 if the antenna's place is known). Error bars, ranges and confidence include it
     #[arg(long, value_name = "DEGREES", hide_short_help = true)]
     pub heading_sd: Option<f64>,
     /// Use pairs from this many seconds after the link's first pair
@@ -64,6 +64,20 @@ impl Estimation {
     /// The antenna on both robots, or the first of several.
     pub fn antenna(&self) -> Antenna {
         self.antenna.first().copied().unwrap_or(Antenna::A)
+    }
+
+    /// Reports the deviation of the heading where no option and no name tells it.
+    pub fn say_heading(&self, path: &Path, trajectory: &Trajectory, is_mounted: bool) {
+        let words = match trajectory.frame() {
+            _ if self.heading_sd.is_some() => return,
+            "odom" => {
+                "nothing names its sensor, so its heading is taken for motion capture's: --heading-sd 4 is a tracking camera's, \
+                 1.5 that of wheels with --antenna-offset, 20 without"
+            }
+            "wheel_odom" if !is_mounted => "of wheels, without --antenna-offset: error bars include 20 degrees",
+            _ => return,
+        };
+        csi5300_say::note!("{}: {words}", path.display());
     }
 
     /// The pipeline's options, on `channel`.

@@ -254,6 +254,8 @@ pub fn run(mut args: Args) -> Result {
     }
     let mut options = Options { key, parallel: args.logs.tx.len() > 1, ..options };
     let trajectory = args.mounting.of_antenna(inputs.trajectory(&named.trajectory)?)?;
+    let is_fitted = args.mounting.antenna_offset.is_some() || args.fit.is_some();
+    args.estimation.say_heading(&named.trajectory, &trajectory, is_fitted);
     let mut receiver = inputs.open(&rx)?;
     let (mut logs, unread) = open_transmitters(&mut args, &inputs)?;
     options.tx_macs.clone_from(&args.logs.tx_mac);
@@ -290,11 +292,11 @@ pub fn run(mut args: Args) -> Result {
         explain_lines(links);
     }
     say_losses(&args, &rx, &report, &receiver, &logs);
-    let parted = report.clocks_part(std::iter::once(&trajectory).chain(&partners), &options);
-    parted.iter().for_each(|words| note!("{}: {words}", rx.display()));
+    let contradiction = report.contradiction(std::iter::once(&trajectory).chain(&partners), &options);
+    contradiction.iter().for_each(|words| note!("{}: {words}", rx.display()));
     report.clock_doubt().iter().for_each(|doubt| note!("{}: {doubt}", rx.display()));
     let lost = answered < report.links.len() || !unread.is_empty() || lost_something(&report) || inputs.lost();
-    let lost = lost || parted.is_some();
+    let lost = lost || contradiction.is_some();
     Ok(Outcome::of(answered > 0, lost))
 }
 
@@ -528,14 +530,14 @@ impl Alone {
         let report = one_log(&mut log, trajectory, array, options).in_words()?;
         let (survey, unused) = (&report.receiver.survey, report.receiver.unused);
         let losses = info::unusual_losses(survey, log.bytes());
-        let parted = report.clocks_part([trajectory], options);
-        let has_notes = unused.no_antenna > 0 || !losses.is_empty() || parted.is_some();
+        let contradiction = report.contradiction([trajectory], options);
+        let has_notes = unused.no_antenna > 0 || !losses.is_empty() || contradiction.is_some();
         let notes = has_notes.then(|| {
             let (bfees, lacking) = (survey.bfees(), unused.no_antenna);
-            let parted = parted.iter().map(|words| format!("  {words}\n")).collect::<String>();
-            format!("{}: {bfees} bfee records, {lacking} lack an antenna\n{losses}{parted}", rx.display())
+            let contradiction = contradiction.iter().map(|words| format!("  {words}\n")).collect::<String>();
+            format!("{}: {bfees} bfee records, {lacking} lack an antenna\n{losses}{contradiction}", rx.display())
         });
-        Ok(Self { lost: survey.lost_something() || parted.is_some(), notes, report })
+        Ok(Self { lost: survey.lost_something() || contradiction.is_some(), notes, report })
     }
 }
 
@@ -593,6 +595,7 @@ fn run_one_log(args: &Args) -> Result {
     };
     let inputs = Inputs::files(args.logs.columns.clone());
     let trajectory = inputs.trajectory(path).and_then(|recorded| args.mounting.of_antenna(recorded))?;
+    args.estimation.say_heading(path, &trajectory, true);
     let Alone { report, mut lost, notes } = Alone::read(&inputs, rx, &trajectory, (&array, &options))?;
     let mut answered = 0;
     for link in &report.links {

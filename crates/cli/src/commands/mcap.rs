@@ -215,10 +215,10 @@ fn estimate(
         }
         rows.push(LinkRow { link: name.clone(), azimuth_deg, azimuth_sd_deg, mirror_deg, error });
     }
-    let parted = report.clocks_part([trajectory], options);
-    parted.iter().for_each(|words| note!("{}: {words}", rx.display()));
+    let contradiction = report.contradiction([trajectory], options);
+    contradiction.iter().for_each(|words| note!("{}: {words}", rx.display()));
     report.clock_doubt().iter().for_each(|doubt| note!("{}: {doubt}", rx.display()));
-    Ok((rows, parted.is_some() || lost_something(&report)))
+    Ok((rows, contradiction.is_some() || lost_something(&report)))
 }
 
 /// Directions of a profile.
@@ -278,9 +278,9 @@ impl Recording {
 
     /// Where the robot is.
     pub fn pose(&mut self, pose: &Pose) -> io::Result<()> {
-        let turned = Quaternion::along(pose.heading_rad.unwrap_or(0.0), 0.0);
-        self.transform(ROBOT, pose, turned.clone())?;
-        self.put("/pose", pose.t_s, &self.placed(pose, turned))
+        // A transform has an orientation, known or not.
+        self.transform(ROBOT, pose, Quaternion::along(pose.heading_rad.unwrap_or(0.0), 0.0))?;
+        self.put("/pose", pose.t_s, &self.placed(pose, turned(pose)))
     }
 
     fn transform(&mut self, child: &str, place: &Pose, rotation: Quaternion) -> io::Result<()> {
@@ -298,10 +298,7 @@ impl Recording {
 
     /// The robot's path, as known at `t_s`.
     pub fn path(&mut self, t_s: f64, poses: &[Pose]) -> io::Result<()> {
-        let poses = poses
-            .iter()
-            .map(|pose| self.placed(pose, Quaternion::along(pose.heading_rad.unwrap_or(0.0), 0.0)))
-            .collect();
+        let poses = poses.iter().map(|pose| self.placed(pose, turned(pose))).collect();
         self.put("/trajectory", t_s, &PathMessage { header: header(t_s, self.frame), poses })
     }
 
@@ -319,6 +316,11 @@ impl Recording {
         self.transform(&format!("bearing/{link}"), &from, towards)?;
         self.put(&format!("/aoa_profile/{link}"), t_s, &scan)
     }
+}
+
+/// A pose's heading; ROS's null quaternion if that is not known.
+fn turned(pose: &Pose) -> Quaternion {
+    pose.heading_rad.map_or_else(Quaternion::default, |heading_rad| Quaternion::along(heading_rad, 0.0))
 }
 
 /// The profile about the middle of the motion, from the bearing on.

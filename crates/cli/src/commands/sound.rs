@@ -67,8 +67,8 @@ pub struct Args {
     /// Antenna (RF port) used on both robots: A, B or C
     #[arg(long, default_value = "A", value_parser = antenna)]
     antenna: Antenna,
-    /// Standard deviation of the trajectory's heading: 0.3 for motion capture, about 4 for a tracking camera, 20 for
-    /// wheels. Error bars, ranges and confidence include it
+    /// Standard deviation of the trajectory's heading: 0.3 for motion capture or an unknown sensor, about 4 for a tracking
+    /// camera, 20 for wheels (1.5 if the antenna's place is known). Error bars, ranges and confidence include it
     #[arg(long, value_name = "DEGREES", requires = "trajectory")]
     heading_sd: Option<f64>,
     /// Print JSON, one object a line (docs/reference/formats.md)

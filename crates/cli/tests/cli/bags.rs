@@ -184,6 +184,14 @@ fn a_recording_for_viewers_says_the_mirror_and_its_bearings_are_no_odometry() {
         let [file, bag] = [["--trajectory", name], ["--bag", "s.mcap"]].map(bar);
         assert!((file - bag).abs() < 0.01 * file, "{name}: {file} {bag}");
     }
+    // A heading that is not known stays unknown.
+    let track = csv::read(&folder.0.join(&path), None).unwrap().0;
+    let rows = track.poses().iter().map(|pose| format!("{},{},{},0\n", pose.t_s, pose.position_m.x, pose.position_m.y));
+    folder.write("bare.csv", format!("t,x,y,z\n{}", rows.collect::<String>()).as_bytes());
+    folder.says(&["mcap", &rx, "--trajectory", "bare.csv", "--out", "s.mcap", "--force"], 0, &[]);
+    let read = ["bearing", "--bag", "s.mcap", "--rx", &rx, "--tx", &tx, "--channel", "108", "--json"];
+    let bare = &folder.rows(&read, 0)[0];
+    assert!(bare["azimuth_deg"].is_f64() && bare["azimuth_body_deg"].is_null(), "{bare}");
     // The receiver's records are at the times of its poses, whatever its host's clock says.
     let poses = std::fs::read_to_string(folder.0.join(&path)).unwrap().replace("17000000", "17000001");
     folder.write("later.csv", poses.as_bytes());

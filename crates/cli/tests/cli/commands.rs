@@ -579,7 +579,8 @@ fn several_links_to_known_places_locate_the_receiver_and_help_is_short_or_whole(
     folder.says(&["simulate", "lab-circle", "--out", "room"], 0, &[]);
     let (out, _) = folder.says(&["bearing", "room"], 0, &[]);
     assert!(out.contains("truth ") && !out.contains("located from"), "one link is no place: {out}");
-    folder.says(&["bearing", "room", "--channel", "108+"], 0, &[]);
+    let other = "records are 20 MHz wide, channel 108+ is not, and has another centre: name it 108";
+    folder.says(&["bearing", "room", "--channel", "108+"], 3, &[other]);
     folder.says(&["evaluate", "room", "--channel", "36"], 3, &["groundtruth_positions.json names channel 108, not 36"]);
     // Named again, by any path or link, it is still one measurement.
     let again = ["bearing", "room", "./room/tx1", "room/../room", "--json"];
@@ -1111,9 +1112,14 @@ fn every_field_of_json_is_in_the_documentation() {
     for command in commands {
         let (_, out, err) = folder.run(command);
         assert!(!out.is_empty(), "{command:?}: {err}");
+        // The page says so.
+        assert!(command[0] != "evaluate" || !out.contains("range_change"), "{out}");
         found += &out;
     }
     assert!(crate::documented::are_documented(&found) > 100, "{found}");
+    assert!(
+        found.contains("range_change") && crate::documented::pages().contains("`range_change` (not in `evaluate`)")
+    );
 }
 
 /// The page as one file holds an answer of every kind that `view` gives but a node's states, whose fields `node.rs` looks at.

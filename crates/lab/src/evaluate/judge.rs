@@ -149,8 +149,8 @@ impl Capture {
         let fit = fit.filter(|fit| fit.refused.is_none());
         let heading_sd_rad = fit.map_or(heading_sd_rad, |fit| fit.heading_sd_rad(heading_sd_rad));
         let rx_path = self.receiver_log();
-        let parted = report.clocks_part(std::iter::once(&trajectory).chain(moved.iter().flatten()), &options);
-        notes.extend(parted.map(|words| format!("{}: {words}", rx_path.display())));
+        let contradiction = report.contradiction(std::iter::once(&trajectory).chain(moved.iter().flatten()), &options);
+        notes.extend(contradiction.map(|words| format!("{}: {words}", rx_path.display())));
         notes.extend(report.clock_doubt().map(|doubt| format!("{}: {doubt}", rx_path.display())));
         let paths = match source {
             TrajectorySource::GroundTruth => moved,

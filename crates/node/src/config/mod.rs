@@ -158,12 +158,14 @@ impl Config {
     }
 
     /// Standard deviation of the heading of this robot's poses, degrees, which error bars and confidence hold. Default
-    /// for `estimator.heading_sd_deg`: measured values for a camera constrained to rolling motion and for wheels with a
-    /// known antenna place, 0 for everything else.
+    /// for `estimator.heading_sd_deg`: measured values for a camera constrained to rolling motion and for wheels or odometry of ROS
+    /// with a known antenna place, 0 for everything else.
     pub(crate) fn heading_sd_deg(&self) -> f64 {
         let usual_rad = match self.odometry {
             _ if self.camera_mount.is_some() => heading::ROLLING_CAMERA_RAD,
-            Odometry::Opencr(_) => heading::WHEELS_RAD,
+            Odometry::Opencr(_)
+            | Odometry::Ros(RosTopic { kind: Kind::Odometry, .. })
+            | Odometry::Ros2(Topic { kind: csi5300_ros2::settings::Kind::Odometry, .. }) => heading::WHEELS_RAD,
             _ => 0.0,
         };
         self.estimator.heading_sd_deg.unwrap_or(usual_rad.to_degrees())
@@ -1012,6 +1014,14 @@ mod tests {
             config.camera_mount = Some(CameraMount { forward_m: 0.0, left_m: 0.0, yaw_deg: 0.0 });
         });
         assert!(0.0 < wheels && wheels < camera && camera < 5.0, "{wheels} {camera}");
+        // A topic of odometry is of wheels as far as anybody knows, one of poses of a camera on the wall.
+        let [odometry, pose] = [Kind::Odometry, Kind::Pose].map(|kind| {
+            of(&|config| {
+                let topic = "/odom".into();
+                config.odometry = Odometry::Ros(RosTopic { topic, kind, stamp: None, frame: None });
+            })
+        });
+        assert_eq!((odometry, pose), (wheels, 0.0));
     }
 
     #[test]
