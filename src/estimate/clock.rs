@@ -57,18 +57,23 @@ pub(crate) fn offsets_s() -> impl DoubleEndedIterator<Item = f64> + ExactSizeIte
 }
 
 impl OtherTimes<'_> {
-    /// Round trips of the pairs just before, after and between the samples where the robot rests, with displacements, metres. `used` are
-    /// the samples' rows.
-    pub(super) fn beside(&self, samples: &Samples, used: &[usize]) -> Vec<(Complex64, Vector3<f64>)> {
+    /// Round trips of the pairs just before, after and between the samples where the robot rests, with displacements, metres: each rest
+    /// apart. `used` are the samples' rows.
+    pub(super) fn rests(&self, samples: &Samples, used: &[usize]) -> Vec<Vec<(Complex64, Vector3<f64>)>> {
         let [from_s, to_s] = span_s(samples);
-        let is_near = |t_s: f64| (from_s - REACH_S..=to_s + REACH_S).contains(&t_s);
-        let is_other = |k: &usize| is_near(self.times_s[*k]) && used.binary_search(k).is_err();
-        let placed = |k: usize| {
-            let (t_s, most_m) = (self.times_s[k], AT_REST * samples.wavelength_m());
-            let place = (self.displacement_m)(t_s).filter(|place| (place - between(samples, t_s)).norm() < most_m);
-            Some((self.z[k], place?))
-        };
-        (0..self.times_s.len().min(self.z.len())).filter(is_other).filter_map(placed).collect()
+        let most_m = AT_REST * samples.wavelength_m();
+        let mut rests = vec![Vec::new(); used.len() + 1];
+        for (k, (&t_s, &z)) in self.times_s.iter().zip(self.z).enumerate() {
+            let Err(samples_before) = used.binary_search(&k) else { continue };
+            if (from_s - REACH_S..=to_s + REACH_S).contains(&t_s)
+                && let Some(place) = (self.displacement_m)(t_s)
+                && (place - between(samples, t_s)).norm() < most_m
+            {
+                rests[samples_before].push((z, place));
+            }
+        }
+        rests.retain(|rest| !rest.is_empty());
+        rests
     }
 
     /// `ln` of the likelihood of a place, metres from the motion's middle, turned with the motion, at each of [`offsets_s`]. `rows` are all

@@ -154,8 +154,8 @@ pub(crate) struct Heard<'a> {
     pub at_rest: Option<&'a AtRest<'a>>,
 }
 
-/// Gives pairs where the robot rests.
-pub(crate) type AtRest<'a> = dyn Fn() -> Vec<(Complex64, Vector3<f64>)> + 'a;
+/// Gives pairs where the robot rests, each rest apart.
+pub(crate) type AtRest<'a> = dyn Fn() -> Vec<Vec<(Complex64, Vector3<f64>)>> + 'a;
 
 /// Looks for one wave next to `start`, or next to `plane_wave` if there is none.
 ///
@@ -295,20 +295,22 @@ impl Wave<'_> {
         left
     }
 
-    /// Whether the wave leaves no more than noise of pairs that are not among the samples, either. By a wrong clock the robot moves
-    /// while it should rest.
-    fn explains(&self, pairs: &[(Complex64, Vector3<f64>)], Fit { at, left }: &Fit) -> Result<(), Unexplained> {
-        let turned = |z: &Complex64, way_m: f64| z * Complex64::cis(self.kappa * way_m);
+    /// Whether the wave leaves no more than noise where the robot rests, either: by a wrong clock it moves there. The constant of each
+    /// rest is open.
+    fn explains(&self, rests: &[Vec<(Complex64, Vector3<f64>)>], Fit { at, left }: &Fit) -> Result<(), Unexplained> {
         let way_m = at.place.ways_m();
-        let mean: Complex64 =
-            self.samples.z().iter().zip(self.ways.each(&way_m)).map(|(z, way_m)| turned(z, way_m)).sum();
         let flat = |p: &Vector3<f64>| if self.prior.is_signed() { *p } else { Vector3::new(p.x, p.y, 0.0) };
-        let residual = |(z, p): &(Complex64, Vector3<f64>)| (turned(z, way_m(&flat(p))) * mean.conj()).arg();
-        let mean_square = |sum: f64, count: usize| sum / count.max(1) as f64;
-        let own = mean_square(left.iter().map(|e| e * e).sum(), left.len()).max(1e-16);
-        let ratio = mean_square(pairs.iter().map(|pair| residual(pair).powi(2)).sum(), pairs.len()) / own;
+        let turned = |(z, p): &(Complex64, Vector3<f64>)| z * Complex64::cis(self.kappa * way_m(&flat(p)));
+        let square = |rest: &Vec<_>| {
+            let turned: Vec<Complex64> = rest.iter().map(turned).collect();
+            let mean: Complex64 = turned.iter().map(|z| z / z.norm()).sum();
+            turned.iter().map(|z| (z * mean.conj()).arg().powi(2)).sum::<f64>()
+        };
+        let free = rests.iter().map(|rest| rest.len() - 1).sum::<usize>().max(1) as f64;
+        let own = (left.iter().map(|e| e * e).sum::<f64>() / left.len() as f64).max(1e-16);
+        let ratio = rests.iter().map(square).sum::<f64>() / free / own;
         // The ratio of two mean squares of noise (Wilson and Hilferty 1931).
-        let spread = 2.0 / 9.0 * (1.0 / pairs.len().max(1) as f64 + 1.0 / left.len() as f64);
+        let spread = 2.0 / 9.0 * (1.0 / free + 1.0 / left.len() as f64);
         let limit = (1.0 - spread + FALSE_ALARM_SD * spread.sqrt()).powi(3);
         if ratio > limit { Err(Unexplained::AtRest(ratio / limit)) } else { Ok(()) }
     }
