@@ -13,6 +13,7 @@ use super::{Model, Task, radius_m, tuning};
 use crate::signal::planes::Planes;
 use crate::signal::samples::Samples;
 use nalgebra::Vector3;
+use num_complex::Complex64;
 use std::f64::consts::TAU;
 
 /// Largest shift and step, seconds.
@@ -33,6 +34,8 @@ const AZIMUTH_STEP: f64 = 0.5;
 /// Phases are averaged over stretches of at most this many wavelengths and this many seconds.
 const BIN_WAVELENGTHS: f64 = 0.15;
 const BIN_S: f64 = 0.06;
+/// A robot rests within so many wavelengths of its nearest sample.
+const AT_REST: f64 = 0.1;
 /// Spacing of the sampled path, seconds: straight lines between its points err by at most 0.4 mm at 3 m/s^2.
 const PATH_S: f64 = 0.03;
 
@@ -41,6 +44,8 @@ const PATH_S: f64 = 0.03;
 pub(crate) struct OtherTimes<'a> {
     /// Of all pairs of the link, seconds on the trajectory's clock.
     pub times_s: &'a [f64],
+    /// Their round trips at the channel centre.
+    pub z: &'a [Complex64],
     /// Receiver less transmitter at a time, metres.
     pub displacement_m: &'a (dyn Fn(f64) -> Option<Vector3<f64>> + Sync),
 }
@@ -52,6 +57,25 @@ pub(crate) fn offsets_s() -> impl DoubleEndedIterator<Item = f64> + ExactSizeIte
 }
 
 impl OtherTimes<'_> {
+    /// Round trips of the pairs just before, after and between the samples where the robot rests, with displacements, metres: each rest
+    /// apart. `used` are the samples' rows.
+    pub(super) fn rests(&self, samples: &Samples, used: &[usize]) -> Vec<Vec<(Complex64, Vector3<f64>)>> {
+        let [from_s, to_s] = span_s(samples);
+        let most_m = AT_REST * samples.wavelength_m();
+        let mut rests = vec![Vec::new(); used.len() + 1];
+        for (k, (&t_s, &z)) in self.times_s.iter().zip(self.z).enumerate() {
+            let Err(samples_before) = used.binary_search(&k) else { continue };
+            if (from_s - REACH_S..=to_s + REACH_S).contains(&t_s)
+                && let Some(place) = (self.displacement_m)(t_s)
+                && (place - between(samples, t_s)).norm() < most_m
+            {
+                rests[samples_before].push((z, place));
+            }
+        }
+        rests.retain(|rest| !rest.is_empty());
+        rests
+    }
+
     /// `ln` of the likelihood of a place, metres from the motion's middle, turned with the motion, at each of [`offsets_s`]. `rows` are all
     /// pairs of the link, as round trips or one-way channels: a path's phase is so many times in them.
     pub(super) fn logs(
@@ -63,8 +87,7 @@ impl OtherTimes<'_> {
     ) -> Vec<f64> {
         let samples = task.samples;
         let wavelength_m = samples.wavelength_m();
-        let times_s = samples.t_s().iter().copied();
-        let (from_s, to_s) = (times_s.clone().fold(f64::MAX, f64::min), times_s.fold(f64::MIN, f64::max));
+        let [from_s, to_s] = span_s(samples);
         if to_s - from_s > LONGEST_S {
             return Vec::new();
         }
@@ -114,6 +137,12 @@ impl OtherTimes<'_> {
         let logs = searched((steps, fine as usize), log);
         offsets_s().map(|offset_s| parabola(&logs, 1, (offset_s + REACH_S) / STEP_S * f64::from(fine))).collect()
     }
+}
+
+/// Times of the first and the last sample, seconds.
+fn span_s(samples: &Samples) -> [f64; 2] {
+    let times_s = samples.t_s();
+    [times_s.iter().copied().fold(f64::MAX, f64::min), times_s.iter().copied().fold(f64::MIN, f64::max)]
 }
 
 /// `ln` of the likelihood at one shift, and whether azimuths beside the turned one were looked at, too.

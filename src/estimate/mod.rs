@@ -411,7 +411,15 @@ pub(crate) fn estimate(
     let mut searcher = Searcher::new(task.tier);
     let plane_wave = plane_wave(task, &mut searcher, &models, means.as_ref())?;
     let few = means.as_ref().filter(|_| task.drive.is_none()).map(|means| (means, &bins));
-    let mut reason = match early(task, &models, few, (&plane_wave, None), middle_m) {
+    let rests = |other_times: &OtherTimes<'_>| {
+        let mut rests = other_times.rests(samples, used);
+        rests.iter_mut().flatten().for_each(|(_, place)| *place -= middle_m);
+        rests
+    };
+    let rests = task.other_times.as_ref().map(|other_times| move || rests(other_times));
+    let at_rest = rests.as_ref().map(|rests| rests as &one_wave::AtRest<'_>);
+    let early = |models: &[Model], start| early(task, models, (few, at_rest), start, middle_m);
+    let mut reason = match early(&models, (&plane_wave, None)) {
         Ok(found) => return Ok(found),
         Err(reason) => reason,
     };
@@ -419,7 +427,7 @@ pub(crate) fn estimate(
     let hidden = !matches!(reason, Reason::Asked | Reason::Drives) && plane_wave.coherence.powi(2) < LARGE_SHARE;
     let strongest = models.last().filter(|_| hidden).and_then(|model| strongest(task, model));
     if strongest.is_some() {
-        match early(task, &models, few, (&plane_wave, strongest), middle_m) {
+        match early(&models, (&plane_wave, strongest)) {
             Ok(found) => return Ok(found),
             Err(Reason::Unexplained(Unexplained::Faint(_))) => {}
             Err(of_strongest) => reason = of_strongest,
@@ -449,7 +457,7 @@ pub(crate) fn estimate(
     let Some(Windowed { model, mut modes, .. }) = best else { return Err(bartlett::Error::Empty) };
     // A wave that the plane wave did not lead to.
     let start = modes.first().map(|mode| mode.place);
-    if let Ok(found) = early(task, std::slice::from_ref(&model), few, (&plane_wave, start), middle_m) {
+    if let Ok(found) = early(std::slice::from_ref(&model), (&plane_wave, start)) {
         return Ok(found);
     }
     let bound_rad = modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt());
@@ -656,7 +664,7 @@ fn free(task: &Task<'_>, Model { points, prior, is_line, .. }: &Model, inside: b
 fn early(
     task: &Task<'_>,
     models: &[Model],
-    means: Option<(&Samples, &Bins)>,
+    (means, at_rest): (Option<(&Samples, &Bins)>, Option<&one_wave::AtRest<'_>>),
     start: (&bartlett::Estimate, Option<Place>),
     middle_m: Vector3<f64>,
 ) -> Result<Found, Reason> {
@@ -678,10 +686,10 @@ fn early(
         let prior = if is_inside { free(task, model, true) } else { outside };
         let checked = means.map_or(Ok(()), |(samples, bins)| {
             let points = bins.points_m(&model.points);
-            let heard = Heard { samples, ways: Ways::to(&points), false_alarm, scale_sd };
+            let heard = Heard { samples, ways: Ways::to(&points), false_alarm, scale_sd, at_rest: None };
             one_wave::alone(heard, start, &prior, &model.steps, task.tier).map(drop)
         });
-        let heard = Heard { samples, ways: task.ways(&model.points).0, false_alarm, scale_sd };
+        let heard = Heard { samples, ways: task.ways(&model.points).0, false_alarm, scale_sd, at_rest };
         let explain = |prior, start| one_wave::explain(heard, start, prior, &model.steps, task.tier);
         match checked.and_then(|()| explain(&prior, start)) {
             Ok(one) => {

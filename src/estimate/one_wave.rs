@@ -23,6 +23,8 @@ use std::ops::{AddAssign, Div, SubAssign};
 
 /// Probability of a false alarm of a test: then the posterior over windows is computed needlessly.
 pub(crate) const FALSE_ALARM: f64 = 0.001;
+/// The same in deviations of a normal density.
+const FALSE_ALARM_SD: f64 = 3.09;
 /// Fewer samples tell no noise from anything else.
 const LEAST_SAMPLES: usize = 32;
 /// Phases of a wave with less of the power wrap too often for least squares.
@@ -55,6 +57,9 @@ pub enum Unexplained {
     /// What is left goes on along the motion: its cumulative periodogram is this many times as far from that of noise as
     /// noise may be.
     NotWhite(f64),
+    /// Pairs beside the motion, where the robot rests by the trajectory, do not fit: their mean square residual over that of the samples,
+    /// over what noise may reach.
+    AtRest(f64),
     /// What is left is another wave: its highest peak over what noise alone would make of it.
     AnotherWave(f64),
     /// Another direction explains the samples about as well.
@@ -71,6 +76,9 @@ impl fmt::Display for Unexplained {
             Self::NoPlace => f.write_str("no place within the limits explains the samples"),
             Self::NotWhite(times) => {
                 write!(f, "the residual phases are not noise: {times:.1} times the limit of the whiteness test")
+            }
+            Self::AtRest(times) => {
+                write!(f, "pairs where the robot should rest do not fit: {times:.1} times the limit of noise")
             }
             Self::AnotherWave(times) => {
                 write!(f, "another wave is there, {times:.1} times as strong as noise may seem")
@@ -142,7 +150,12 @@ pub(crate) struct Heard<'a> {
     pub false_alarm: f64,
     /// Standard deviation of the path's scale.
     pub scale_sd: f64,
+    /// Pairs where the robot rests, if they are to be explained, too: round trips with displacements about the middle, metres.
+    pub at_rest: Option<&'a AtRest<'a>>,
 }
+
+/// Gives pairs where the robot rests, each rest apart.
+pub(crate) type AtRest<'a> = dyn Fn() -> Vec<Vec<(Complex64, Vector3<f64>)>> + 'a;
 
 /// Looks for one wave next to `start`, or next to `plane_wave` if there is none.
 ///
@@ -155,7 +168,11 @@ pub(crate) fn explain(
     steps: &Steps,
     tier: Tier,
 ) -> Result<OneWave, Unexplained> {
-    let Alone { mut wave, fit: Fit { at, left }, peak } = alone(heard, start, prior, steps, tier)?;
+    let Alone { mut wave, fit, peak } = alone(heard, start, prior, steps, tier)?;
+    if let Some(at_rest) = heard.at_rest {
+        wave.explains(&at_rest(), &fit)?;
+    }
+    let Fit { at, left } = fit;
     let free = left.len() as f64 - 5.0;
     let variance = (left.iter().map(|e| e * e).sum::<f64>() / free).max(1e-16);
     let bound_rad = wave.covariance(&at, variance, false)[(0, 0)].max(0.0).sqrt();
@@ -181,7 +198,7 @@ pub(crate) fn explain(
 /// # Errors
 /// What else there is.
 pub(crate) fn alone<'a>(
-    Heard { samples, ways, false_alarm, scale_sd }: Heard<'a>,
+    Heard { samples, ways, false_alarm, scale_sd, at_rest: _ }: Heard<'a>,
     (plane_wave, from): (&Estimate, Option<Place>),
     prior: &'a Prior,
     steps: &Steps,
@@ -276,6 +293,26 @@ impl Wave<'_> {
         }
         self.about_means(&mut left);
         left
+    }
+
+    /// Whether the wave leaves no more than noise where the robot rests, either: by a wrong clock it moves there. The constant of each
+    /// rest is open.
+    fn explains(&self, rests: &[Vec<(Complex64, Vector3<f64>)>], Fit { at, left }: &Fit) -> Result<(), Unexplained> {
+        let way_m = at.place.ways_m();
+        let flat = |p: &Vector3<f64>| if self.prior.is_signed() { *p } else { Vector3::new(p.x, p.y, 0.0) };
+        let turned = |(z, p): &(Complex64, Vector3<f64>)| z * Complex64::cis(self.kappa * way_m(&flat(p)));
+        let square = |rest: &Vec<_>| {
+            let turned: Vec<Complex64> = rest.iter().map(turned).collect();
+            let mean: Complex64 = turned.iter().map(|z| z / z.norm()).sum();
+            turned.iter().map(|z| (z * mean.conj()).arg().powi(2)).sum::<f64>()
+        };
+        let free = rests.iter().map(|rest| rest.len() - 1).sum::<usize>().max(1) as f64;
+        let own = (left.iter().map(|e| e * e).sum::<f64>() / left.len() as f64).max(1e-16);
+        let ratio = rests.iter().map(square).sum::<f64>() / free / own;
+        // The ratio of two mean squares of noise (Wilson and Hilferty 1931).
+        let spread = 2.0 / 9.0 * (1.0 / free + 1.0 / left.len() as f64);
+        let limit = (1.0 - spread + FALSE_ALARM_SD * spread.sqrt()).powi(3);
+        if ratio > limit { Err(Unexplained::AtRest(ratio / limit)) } else { Ok(()) }
     }
 
     /// Takes the mean of each part out of it.

@@ -120,7 +120,7 @@ fn bearing_in(
             gated = gated.within(stretch, &gate)?;
         }
         let displacement_m = |t_s| gate.displacement_m(t_s);
-        let other_times = estimate::OtherTimes { times_s: &times_s, displacement_m: &displacement_m };
+        let other_times = estimate::OtherTimes { times_s: &times_s, z: &phases.z, displacement_m: &displacement_m };
         let is_compared = clocks == Clocks::Compared && options.join == JoinBy::Time;
         let task = Task { other_times: is_compared.then_some(other_times), ..options.task(&gated.samples, receiver) };
         let found = estimate(&task, || phases.round_trips(link, options), &gated.used)?;

@@ -11,7 +11,8 @@ use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::num_complex::Complex32;
 use csi5300::pipeline::{
-    Answer, Array, Bearing, CaptureReport, JoinBy, OneLog, Options, Transmitter, bearings, lost_something, one_log,
+    Answer, Array, Bearing, CaptureReport, JoinBy, OneLog, Options, Reason, Sufficient, Transmitter, Unexplained,
+    bearings, lost_something, one_log,
 };
 use csi5300::source::other_card::Translated;
 use csi5300::source::replay::Replay;
@@ -141,7 +142,11 @@ fn three_robots(motion: &str, seed: u64, has_walls: bool) -> Simulation {
 }
 
 fn at_clock_offset(run: &Simulation, offset_s: f64, join: JoinBy) -> CaptureReport {
-    let options = Options { clock_offset_s: offset_s, join, ..Options::new("108".parse().unwrap()) };
+    at_offset(run, "108", offset_s, join)
+}
+
+fn at_offset(run: &Simulation, channel: &str, offset_s: f64, join: JoinBy) -> CaptureReport {
+    let options = Options { clock_offset_s: offset_s, join, ..Options::new(channel.parse().unwrap()) };
     let [mut rx, mut one, mut two] = [0, 1, 2].map(|k| run.robots[k].replay());
     let transmitters = [&mut one, &mut two].map(|log| Transmitter { log, trajectory: None }).into();
     bearings(&mut rx, transmitters, run.robots[0].true_path.as_ref().unwrap(), &options).unwrap()
@@ -210,6 +215,27 @@ fn clocks_that_differ_by_any_time_are_told() {
                 "{motion} {has_walls} {offset_s}: {doubt:?}"
             );
         }
+    }
+}
+
+/// The circle alone is the same at all times; the robot's rest after it is not.
+#[test]
+fn one_wave_explains_the_pairs_at_rest_too() {
+    let run = run_room(
+        "duration_s = 14.0\nseed = 4\nchannel = 11\ncfo = \"physical\"\nsounding.rate_hz = 30\n[radio]\nnoise.snr_db = 11\n\
+         [[robot]]\nname = \"rx\"\nmotion.circle = { radius_m = 0.55, duration_s = 8.4, start_s = 0.0 }\n\
+         [[robot]]\nname = \"tx1\"\nposition_m = [1.4, 3.2, 0.3]\n[[robot]]\nname = \"tx2\"\nposition_m = [-1.9, 2.4, 0.3]\n",
+    );
+    let at = |offset_s: f64| {
+        let report = at_offset(&run, "11", offset_s, JoinBy::Time);
+        let sufficient = report.links[0].bearing.as_ref().map(|bearing| bearing.sufficient);
+        (sufficient.ok(), report.clock_doubt().map(|found| found.offset_s))
+    };
+    assert!(matches!(at(0.0), (Some(Sufficient::OneWave(_)), None)), "{:?}", at(0.0));
+    for offset_s in [0.45, 0.74] {
+        let (sufficient, doubt) = at(offset_s);
+        let rests = matches!(sufficient, Some(Sufficient::Posterior(Reason::Unexplained(Unexplained::AtRest(_)))));
+        assert!(rests && doubt.is_some_and(|found| found.abs() < 0.1), "{offset_s}: {sufficient:?} {doubt:?}");
     }
 }
 
