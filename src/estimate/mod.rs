@@ -533,7 +533,7 @@ fn field(task: &Task<'_>, bins: &Bins, model: &Model, apertures: &[Aperture]) ->
     }
     let points = bins.points_m(&model.points);
     let path_m: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-    // One sample in a quarter of the turn that the round trip makes is independent of the next.
+    // One sample in half a turn of the round trip is independent of the next.
     let independent = (2.0 * path_m * gain / wavelength_m).min(bins.len() as f64);
     Field::new(&points, apertures.to_vec(), wavelength_m, independent, tuning::WINDOW_LENGTHS, task.tier)
 }
