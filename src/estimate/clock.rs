@@ -7,6 +7,7 @@
 //! Pairs taken at rest count, too: by another clock the robot may move.
 
 use super::likelihood::{Field, Place};
+use super::one_wave::Rest;
 use super::posterior::log_sum;
 use super::signal::{Aperture, Bins};
 use super::{Model, Task, radius_m, tuning};
@@ -57,9 +58,9 @@ pub(crate) fn offsets_s() -> impl DoubleEndedIterator<Item = f64> + ExactSizeIte
 }
 
 impl OtherTimes<'_> {
-    /// Round trips of the pairs just before, after and between the samples where the robot rests, with displacements, metres: each rest
-    /// apart. `used` are the samples' rows.
-    pub(super) fn rests(&self, samples: &Samples, used: &[usize]) -> Vec<Vec<(Complex64, Vector3<f64>)>> {
+    /// Round trips of the pairs just before, after and between the samples where the robot rests, with displacements from `middle_m`,
+    /// metres: each rest apart. `used` are the samples' rows.
+    pub(super) fn rests(&self, samples: &Samples, used: &[usize], middle_m: Vector3<f64>) -> Vec<Rest> {
         let [from_s, to_s] = span_s(samples);
         let most_m = AT_REST * samples.wavelength_m();
         let mut rests = vec![Vec::new(); used.len() + 1];
@@ -69,7 +70,7 @@ impl OtherTimes<'_> {
                 && let Some(place) = (self.displacement_m)(t_s)
                 && (place - between(samples, t_s)).norm() < most_m
             {
-                rests[samples_before].push((z, place));
+                rests[samples_before].push((z, place - middle_m));
             }
         }
         rests.retain(|rest| !rest.is_empty());

@@ -411,12 +411,7 @@ pub(crate) fn estimate(
     let mut searcher = Searcher::new(task.tier);
     let plane_wave = plane_wave(task, &mut searcher, &models, means.as_ref())?;
     let few = means.as_ref().filter(|_| task.drive.is_none()).map(|means| (means, &bins));
-    let rests = |other_times: &OtherTimes<'_>| {
-        let mut rests = other_times.rests(samples, used);
-        rests.iter_mut().flatten().for_each(|(_, place)| *place -= middle_m);
-        rests
-    };
-    let rests = task.other_times.as_ref().map(|other_times| move || rests(other_times));
+    let rests = task.other_times.as_ref().map(|other_times| move || other_times.rests(samples, used, middle_m));
     let at_rest = rests.as_ref().map(|rests| rests as &one_wave::AtRest<'_>);
     let early = |models: &[Model], start| early(task, models, (few, at_rest), start, middle_m);
     let mut reason = match early(&models, (&plane_wave, None)) {

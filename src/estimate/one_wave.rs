@@ -1,9 +1,9 @@
 //! One spherical wave by least squares, where it leaves nothing but noise.
 //!
 //! Then every sample is independent, and the most likely place is efficient: no window, other subcarrier or other path can
-//! add to it more than the noise hides. Whether the residual phases are noise is tested twice, each with a false alarm in
-//! [`FALSE_ALARM`]: by their cumulative periodogram along the motion (a bent trajectory, anything that continues from sample
-//! to sample), and by their highest Bartlett peak (another path). A path of amplitude `b` leaves phases `b sin(psi)`, half of
+//! add to it more than the noise hides. Whether the residual phases are noise is tested with a false alarm in
+//! [`FALSE_ALARM`] each: by their cumulative periodogram along the motion (a bent trajectory, anything that continues from sample
+//! to sample), by their highest Bartlett peak (another path), and by pairs where the robot rests (a wrong clock). A path of amplitude `b` leaves phases `b sin(psi)`, half of
 //! which are a wave of its direction: one that stays below a peak of `p` times what noise has on average moves the azimuth by
 //! at most `sqrt(2 p)` times the deviation that the noise leaves.
 
@@ -150,12 +150,14 @@ pub(crate) struct Heard<'a> {
     pub false_alarm: f64,
     /// Standard deviation of the path's scale.
     pub scale_sd: f64,
-    /// Pairs where the robot rests, if they are to be explained, too: round trips with displacements about the middle, metres.
+    /// Pairs where the robot rests, if they are to be explained, too.
     pub at_rest: Option<&'a AtRest<'a>>,
 }
 
-/// Gives pairs where the robot rests, each rest apart.
-pub(crate) type AtRest<'a> = dyn Fn() -> Vec<Vec<(Complex64, Vector3<f64>)>> + 'a;
+/// Pairs of one rest: round trips with displacements about the middle, metres.
+pub(crate) type Rest = Vec<(Complex64, Vector3<f64>)>;
+/// Gives the rests.
+pub(crate) type AtRest<'a> = dyn Fn() -> Vec<Rest> + 'a;
 
 /// Looks for one wave next to `start`, or next to `plane_wave` if there is none.
 ///
@@ -297,11 +299,11 @@ impl Wave<'_> {
 
     /// Whether the wave leaves no more than noise where the robot rests, either: by a wrong clock it moves there. The constant of each
     /// rest is open.
-    fn explains(&self, rests: &[Vec<(Complex64, Vector3<f64>)>], Fit { at, left }: &Fit) -> Result<(), Unexplained> {
+    fn explains(&self, rests: &[Rest], Fit { at, left }: &Fit) -> Result<(), Unexplained> {
         let way_m = at.place.ways_m();
         let flat = |p: &Vector3<f64>| if self.prior.is_signed() { *p } else { Vector3::new(p.x, p.y, 0.0) };
         let turned = |(z, p): &(Complex64, Vector3<f64>)| z * Complex64::cis(self.kappa * way_m(&flat(p)));
-        let square = |rest: &Vec<_>| {
+        let square = |rest: &Rest| {
             let turned: Vec<Complex64> = rest.iter().map(turned).collect();
             let mean: Complex64 = turned.iter().map(|z| z / z.norm()).sum();
             turned.iter().map(|z| (z * mean.conj()).arg().powi(2)).sum::<f64>()
