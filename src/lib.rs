@@ -165,7 +165,7 @@ pub use source::log::{Frame, Log};
 pub mod internal {
     use std::sync::{Mutex, MutexGuard, PoisonError};
 
-    /// What a mutex holds, also after a panic of who held it: what these hold is whole between any two steps.
+    /// Locks a mutex, also after a thread panicked with it: what ours hold is consistent between any two steps.
     pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
         mutex.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -20,10 +20,10 @@ use std::f64::consts::TAU;
 /// Largest shift and step, seconds.
 const REACH_S: f64 = 3.0;
 pub(crate) const STEP_S: f64 = 0.1;
-/// While the robot drives for a step, a path may turn by so much; then smaller steps are looked at, down to a fifth.
+/// Turns of a path's phase that a step may hold. While the robot drives faster, steps are smaller, down to a fifth.
 const TURNS: f64 = 0.4;
 const FINEST: i32 = 5;
-/// One shift in so many is looked at closely: the likeliest ones by the turned place alone.
+/// One shift in so many is looked at closely: those that the turned place alone makes likeliest.
 const CLOSELY: usize = 3;
 /// Longer motions are not compared, seconds: the robot rested in between, or they were recorded in parts.
 const LONGEST_S: f64 = 300.0;
@@ -115,9 +115,9 @@ impl OtherTimes<'_> {
         let times_s = bins.means_of(&times_s);
         let apart_rad = wavelength_m / f64::from(samples.path_gain()) / radius_m(&model.points);
         let at = |azimuth: f64| model.prior.at_height(Place { azimuth, ..place });
-        let beside = |field: &Field, azimuth: f64, beside: i32| {
+        let around = |field: &Field, azimuth: f64, side: i32| {
             let near = |k: i32| at(azimuth + f64::from(k) * AZIMUTH_STEP * apart_rad);
-            log_sum(&field.log_likelihoods(&(-beside..=beside).map(near).collect::<Vec<_>>()))
+            log_sum(&field.log_likelihoods(&(-side..=side).map(near).collect::<Vec<_>>()))
         };
         let turns = STEP_S / (to_s - from_s) * path_m * f64::from(samples.path_gain()) / wavelength_m;
         let fine = ((turns / TURNS).ceil() as i32).clamp(1, FINEST);
@@ -130,10 +130,10 @@ impl OtherTimes<'_> {
                 return None;
             }
             field.set_points(&shifted);
-            let beside_it = if closely || alike < ALIKE { BESIDE } else { 0 };
-            let by_turn = beside(&field, place.azimuth + turned_rad, beside_it);
-            let anywhere = (alike < ALIKE).then(|| beside(&field, likeliest_rad(&field, model, at), BESIDE));
-            Some(Log { log: anywhere.map_or(by_turn, |log| by_turn.max(log)), is_close: beside_it > 0 })
+            let side = if closely || alike < ALIKE { BESIDE } else { 0 };
+            let by_turn = around(&field, place.azimuth + turned_rad, side);
+            let anywhere = (alike < ALIKE).then(|| around(&field, likeliest_rad(&field, model, at), BESIDE));
+            Some(Log { log: anywhere.map_or(by_turn, |log| by_turn.max(log)), is_close: side > 0 })
         };
         let logs = searched((steps, fine as usize), log);
         offsets_s().map(|offset_s| parabola(&logs, 1, (offset_s + REACH_S) / STEP_S * f64::from(fine))).collect()
@@ -153,8 +153,8 @@ struct Log {
     is_close: bool,
 }
 
-/// `ln` of the likelihood at each shift from `-steps` to `steps`, the likeliest and the middle looked at closely. What `log` leaves out
-/// is between every `fine`-th one.
+/// `ln` of the likelihood at each shift from `-steps` to `steps`, the likeliest and the middle looked at closely. Where `log` gives
+/// none, it is interpolated between every `fine`-th one.
 fn searched((steps, fine): (i32, usize), mut log: impl FnMut(i32, bool) -> Option<Log>) -> Vec<f64> {
     let mut logs: Vec<Option<Log>> = (-steps..=steps).map(|k| log(k, false)).collect();
     let all = logs.iter().zip(-steps..).filter_map(|(own, k)| own.map(|own| (own, k)));

@@ -57,8 +57,8 @@ pub enum Unexplained {
     /// What is left goes on along the motion: its cumulative periodogram is this many times as far from that of noise as
     /// noise may be.
     NotWhite(f64),
-    /// Pairs beside the motion, where the robot rests by the trajectory, do not fit: their mean square residual over that of the samples,
-    /// over what noise may reach.
+    /// Pairs beside the motion, where the robot rests by the trajectory, do not fit: the ratio of their mean square residual to that of
+    /// the samples, over the limit that noise stays below.
     AtRest(f64),
     /// What is left is another wave: its highest peak over what noise alone would make of it.
     AnotherWave(f64),
@@ -172,7 +172,7 @@ pub(crate) fn explain(
 ) -> Result<OneWave, Unexplained> {
     let Alone { mut wave, fit, peak } = alone(heard, start, prior, steps, tier)?;
     if let Some(at_rest) = heard.at_rest {
-        wave.explains(&at_rest(), &fit)?;
+        wave.explains_rests(&at_rest(), &fit)?;
     }
     let Fit { at, left } = fit;
     let free = left.len() as f64 - 5.0;
@@ -299,7 +299,7 @@ impl Wave<'_> {
 
     /// Whether the wave leaves no more than noise where the robot rests, either: by a wrong clock it moves there. The constant of each
     /// rest is open.
-    fn explains(&self, rests: &[Rest], Fit { at, left }: &Fit) -> Result<(), Unexplained> {
+    fn explains_rests(&self, rests: &[Rest], Fit { at, left }: &Fit) -> Result<(), Unexplained> {
         let way_m = at.place.ways_m();
         let flat = |p: &Vector3<f64>| if self.prior.is_signed() { *p } else { Vector3::new(p.x, p.y, 0.0) };
         let turned = |(z, p): &(Complex64, Vector3<f64>)| z * Complex64::cis(self.kappa * way_m(&flat(p)));

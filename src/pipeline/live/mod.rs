@@ -48,6 +48,7 @@ pub struct LiveEstimator {
     /// Records lost on the way from this robot's card, if its source counts them.
     losses: u64,
     strangers: u64,
+    other_antenna: u64,
 }
 
 impl LiveEstimator {
@@ -73,7 +74,7 @@ impl LiveEstimator {
         let mut plain = options.clone();
         plain.accuracy.effort = Effort::Within(COARSE_RAD);
         let heard = None;
-        Self { own, settings, front, track, peers, heard, losses: 0, strangers: 0, options, plain }
+        Self { own, settings, front, track, peers, heard, losses: 0, strangers: 0, other_antenna: 0, options, plain }
     }
 
     /// The same with bearings of what these antennas of this robot's card hear alone, while the robot turns or where the
@@ -147,11 +148,13 @@ impl LiveEstimator {
     }
 
     /// Takes the measurement in an answer of the peer `mac`: its card's report on a frame of this robot. One of another
-    /// antenna is not used.
+    /// antenna is only counted.
     pub fn handle_measurement(&mut self, mac: Mac, measurement: &Measurement) {
-        if let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac)
-            && measurement.rx_antenna == self.options.antenna as u8
-        {
+        if measurement.rx_antenna != self.options.antenna as u8 {
+            self.other_antenna += 1;
+            return;
+        }
+        if let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac) {
             state.handle_measurement(measurement, &self.options);
         }
     }
@@ -299,6 +302,12 @@ impl LiveEstimator {
     #[must_use]
     pub fn losses(&self) -> (u64, u64) {
         (self.losses, self.strangers)
+    }
+
+    /// Measurements of another antenna than the one in use: not used.
+    #[must_use]
+    pub fn other_antenna(&self) -> u64 {
+        self.other_antenna
     }
 
     /// Drops data that no window needs any more.

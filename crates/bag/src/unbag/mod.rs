@@ -384,7 +384,7 @@ fn row(header: &Header, child_frame: &str, pose: &PoseMessage) -> Option<Vec<u8>
     let [frame, child] =
         [&header.frame_id, child_frame].map(|name| name.replace([',', ';', '"', '\t', '\r', '\n'], "_"));
     let (Time { sec, nanosec }, p) = (&header.stamp, pose.translation.vector);
-    let q = pose.rotation.coords * f64::from(u8::from(is_set));
+    let q = if is_set { pose.rotation.coords } else { Default::default() };
     let row = format!(
         "{sec},{nanosec},{frame},{child},{:.6},{:.6},{:.6},{:.9},{:.9},{:.9},{:.9}\n",
         p.x, p.y, p.z, q.x, q.y, q.z, q.w

@@ -74,5 +74,5 @@ fn products_from_answers_give_the_bearing() {
     let used = |products: &LiveEstimator| products.peers().next().unwrap().1.heard_by_peer;
     let before = used(&products);
     products.handle_measurement(TRANSMITTER, &other);
-    assert_eq!(used(&products), before);
+    assert_eq!((used(&products), products.other_antenna()), (before, 1));
 }
